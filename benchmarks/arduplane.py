@@ -205,8 +205,8 @@ def processor_s(process: str = "self") -> float:
 def flight(program: Path, seconds: float) -> dict[str, float]:
     """Fly, and return the factor and the processor times from the first to the last sample."""
     from testbed.core.records import Observer
-    from testbed.sim.external_options import ExternalOptions
-    from testbed.sim.run import run
+    from testbed.runs.external_options import ExternalOptions
+    from testbed.runs.run import run
 
     class Stopwatch(Observer):
         zero_copy = True  # keeps no array of a sample

@@ -21,9 +21,9 @@ from typing import Any
 from part_timer import PartTimer
 
 from testbed.core.records import Event, Observer, RunInfo, Sample
+from testbed.plan.world import build
+from testbed.runs.run import run
 from testbed.scenario import Scenario
-from testbed.sim.build import build
-from testbed.sim.run import run
 from testbed.vehicle.workers import default_processes
 
 SEGMENT_S = 60.0

@@ -14,13 +14,13 @@ from pathlib import Path
 
 from tables import insert, row
 
+from testbed.plan.world import versions
 from testbed.scenario import Scenario, find_aircraft, load_scenario
 from testbed.scenario.yaml_io import read
-from testbed.sim.build import versions
-from testbed.sim.margins import MAX_ROLL_GAIN, MAX_ROLL_LATENCY_S, FollowerMargins, Margins
-from testbed.sim.steady_flight import LONG_RECORD_S
 from testbed.studies.flight_pool import open_flight_pool
 from testbed.studies.margins import margins_of
+from testbed.trials.margins import MAX_ROLL_GAIN, MAX_ROLL_LATENCY_S, FollowerMargins, Margins
+from testbed.trials.steady_flight import LONG_RECORD_S
 
 MARK = "make margins"
 SIMULATIONS = (1, 2, 3)

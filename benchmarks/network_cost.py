@@ -19,12 +19,12 @@ from pathlib import Path
 import numpy as np
 
 from testbed.core.records import MESSAGE, NedOrigin, allocate
+from testbed.flight.monitors import LINK_WATCH, check_links
 from testbed.network.channel import make_channel
 from testbed.network.links import resolve_links
 from testbed.network.radio import Radio
 from testbed.scenario import find_aircraft
 from testbed.scenario.network import Network
-from testbed.sim.monitors import LINK_WATCH, check_links
 from testbed.vehicle.fleet import JsbsimFleet
 from testbed.vehicle.trim import InitialState
 

@@ -15,9 +15,9 @@ from typing import Any
 
 from testbed.atmosphere.air import Atmosphere
 from testbed.core.records import Event, Observer, RunInfo, Sample
+from testbed.flight import stages
+from testbed.flight.stages import Program, Stage
 from testbed.sensors.estimators import StateEstimators
-from testbed.sim import stages
-from testbed.sim.stages import Program, Stage
 from testbed.vehicle.fleet import JsbsimFleet
 
 PARTS: Mapping[str, str] = {

@@ -24,10 +24,11 @@ from tables import insert_parts, row
 import testbed
 from testbed.autopilot.parameters import read_params
 from testbed.core.records import Array, Event, FbwaCommand, RunInfo, Sample
+from testbed.flight import arduplane_vehicles
+from testbed.flight.vehicles import JsbsimVehicles
 from testbed.mavlink.rc_channels import rc_scaling
+from testbed.plan import vehicles as build_vehicles
 from testbed.scenario import load_scenario, set_duration
-from testbed.sim import arduplane_vehicles, build_vehicles
-from testbed.sim.vehicles import JsbsimVehicles
 from testbed.vehicle.environment import JSBSIM_DEFAULT_INTEGRATORS
 from testbed.vehicle.workers import make_fleet
 from testbed.views.matplotlib_backend import save_figure

@@ -12,7 +12,7 @@ import numpy as np
 from part_timer import PARTS
 from tables import row
 
-from testbed.sim.build import versions
+from testbed.plan.world import versions
 from testbed.views.panels import (
     BLACK,
     BLUE,

@@ -12,12 +12,12 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from testbed.flight.stages import FlightRecords, UserStage
     from testbed.logs.flight_data import FlightData, load_run
+    from testbed.runs.run import Run, run
+    from testbed.runs.simulation import Simulation
+    from testbed.runs.single_aircraft import Aircraft
     from testbed.scenario.load import load_scenario
-    from testbed.sim.run import Run, run
-    from testbed.sim.simulation import Simulation
-    from testbed.sim.single_aircraft import Aircraft
-    from testbed.sim.stages import FlightRecords, UserStage
 
 __version__ = "0.1.0"
 __all__ = [
@@ -34,15 +34,15 @@ __all__ = [
 ]
 
 _MODULES = {
-    "Aircraft": "testbed.sim.single_aircraft",
+    "Aircraft": "testbed.runs.single_aircraft",
     "FlightData": "testbed.logs.flight_data",
-    "FlightRecords": "testbed.sim.stages",
-    "Run": "testbed.sim.run",
-    "Simulation": "testbed.sim.simulation",
-    "UserStage": "testbed.sim.stages",
+    "FlightRecords": "testbed.flight.stages",
+    "Run": "testbed.runs.run",
+    "Simulation": "testbed.runs.simulation",
+    "UserStage": "testbed.flight.stages",
     "load_run": "testbed.logs.flight_data",
     "load_scenario": "testbed.scenario",
-    "run": "testbed.sim.run",
+    "run": "testbed.runs.run",
 }
 
 

@@ -13,7 +13,7 @@ memory.
 A law steps n followers at once, of N aircraft. Each array has one row per follower, and row i of
 the command may depend on row i of `own` and `inbox` only: on what follower i has received. A law
 must not modify its inputs, and carries its state in the memory only. `testbed validate` checks
-these rules (`testbed.sim.user_code`).
+these rules (`testbed.plan.user_code`).
 
 Vectors are north, east, down (NED) from the scenario's origin; angles in rad, rates in rad/s.
 

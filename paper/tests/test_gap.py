@@ -6,8 +6,8 @@ import math
 import numpy as np
 import pytest
 
+from testbed.runs.run import run
 from testbed.scenario import library, load_scenario, set_duration
-from testbed.sim.run import run
 from testbed.studies.plan import Plan, load_study
 from testbed.vehicle.replay_commands import respond
 

@@ -33,7 +33,7 @@ from testbed.core.files import report_write_errors, write_file
 if TYPE_CHECKING:
     from testbed.core.records import Array
     from testbed.scenario import Scenario
-    from testbed.sim.probes import ProbePath, ProbeRecord
+    from testbed.trials.probes import ProbePath, ProbeRecord
 
 DEFAULT_AIRSPEED = 20.0  # m/s, where the leader flies no mission
 MAX_SAMPLES = 20_000_000  # of all probes: more than a gigabyte
@@ -112,7 +112,7 @@ def air_command(
     has the leader's turbulence; the second has that of the first follower. Gusts are included,
     wakes are not.
     """
-    from testbed.sim.probes import fly_probes, to_arrays
+    from testbed.trials.probes import fly_probes, to_arrays
 
     _check_samples(rate * duration, probes=1 if separation is None else 2, plot=plot is not None)
     loaded = load_scenario(scenario, overrides, seed)
@@ -159,7 +159,7 @@ def _probe_path(
     separation: float | None,
 ) -> ProbePath:
     from testbed.scenario.aircraft import Mission
-    from testbed.sim.probes import ProbePath
+    from testbed.trials.probes import ProbePath
 
     path = scenario.leader.path
     if airspeed is None:
@@ -187,7 +187,7 @@ def _save(path: Path, arrays: Mapping[str, Any]) -> None:
 
 
 def _plot(file: Path, scenario: Scenario, path: ProbePath, record: ProbeRecord) -> None:
-    from testbed.sim.probes import (
+    from testbed.trials.probes import (
         closed_form,
         coherence_band,
         estimate,

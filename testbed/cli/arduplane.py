@@ -22,8 +22,8 @@ from testbed.cli.output import (
 
 if TYPE_CHECKING:
     from testbed.core.records import Array, Event, RunInfo, Sample
-    from testbed.sim.external_options import ExternalOptions
-    from testbed.sim.run import Run
+    from testbed.runs.external_options import ExternalOptions
+    from testbed.runs.run import Run
 
 FLOWN_S, SETTLED_S = 20.0, 5.0
 # RMS differences from the virtual autopilot; ArduPlane 4.8.0-dev had 0.1 m and 0.2 degrees
@@ -140,7 +140,7 @@ def check_arduplane(
     from testbed.autopilot.parameters import read_params
     from testbed.autopilot.sitl_parameters import tune_report
     from testbed.autopilot.sitl_process import find_binary
-    from testbed.sim.external_options import ExternalOptions
+    from testbed.runs.external_options import ExternalOptions
 
     binary = find_binary(arduplane)
     airspeed = read_params(tune).airspeed_cruise
@@ -180,8 +180,8 @@ def _fly(
     track: _Track,
     external: ExternalOptions,
 ) -> Run:
+    from testbed.runs.run import run
     from testbed.scenario import loads
-    from testbed.sim.run import run
 
     text = _SCENARIO.format(
         seconds=FLOWN_S,

@@ -173,8 +173,8 @@ def _write_reports(
     """Fly a failing seed of each failed scenario again, and write its log and report."""
     from testbed.cli.report import write_report
     from testbed.reports import read_run, run_page
+    from testbed.runs.run import run
     from testbed.scenario import set_seed
-    from testbed.sim.run import run
     from testbed.studies.golden_report import failing_seeds
 
     names: set[str] = set()

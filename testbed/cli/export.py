@@ -263,7 +263,7 @@ def recover_command(run: RunName) -> None:
     not in the log, and are null.
     """
     from testbed.metrics.tables import render_table
-    from testbed.sim.recover import recover
+    from testbed.runs.recover import recover
 
     found = recover(run)
     console = result_console()

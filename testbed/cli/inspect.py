@@ -26,7 +26,7 @@ from testbed.core.files import report_write_errors
 
 if TYPE_CHECKING:
     from testbed.core.records import NedOrigin
-    from testbed.sim.speed_step import SpeedStep
+    from testbed.trials.speed_step import SpeedStep
     from testbed.vehicle.identify import FirstOrder
     from testbed.vehicle.linearize import NaturalMode
     from testbed.vehicle.trim import TrimPoint, TrimResult
@@ -153,7 +153,7 @@ def step_command(
     """Step the airspeed command in level flight and fit the speed model of the formation law."""
     from testbed.autopilot.parameters import read_params
     from testbed.scenario import find_aircraft, find_tune, load_middle_loop
-    from testbed.sim.speed_step import speed_step
+    from testbed.trials.speed_step import speed_step
 
     folder = find_aircraft(aircraft)
     gains = load_middle_loop(folder, profile)

@@ -91,9 +91,9 @@ def _of_scenario(name: str, overrides: Sequence[str] = ()) -> tuple[Functions, B
         InputError: the scenario cannot be read, or a function of its own violates a condition.
     """
     from testbed.core.records import join_names
+    from testbed.plan.control import make_barrier, make_control_function
     from testbed.plan.fleet import agent_parameters
     from testbed.scenario import load_scenario
-    from testbed.sim.build_control import make_barrier, make_control_function
 
     scenario, notes = load_scenario(name, overrides), list[str]()
     functions: dict[Any, list[str]] = {}

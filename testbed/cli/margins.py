@@ -28,7 +28,7 @@ from testbed.core.errors import InputError
 from testbed.core.numbers import parse_number
 
 if TYPE_CHECKING:
-    from testbed.sim.margins import FollowerMargins, Margins
+    from testbed.trials.margins import FollowerMargins, Margins
 
 
 def _read_banks(parameter: typer.CallbackParam, text: str) -> str:
@@ -95,8 +95,8 @@ def margins_command(
 
 
 def _table(found: Sequence[Margins]) -> Table:
-    from testbed.sim.margins import MAX_ROLL_GAIN, MAX_ROLL_LATENCY_S
-    from testbed.sim.steady_flight import LONG_RECORD_S
+    from testbed.trials.margins import MAX_ROLL_GAIN, MAX_ROLL_LATENCY_S
+    from testbed.trials.steady_flight import LONG_RECORD_S
 
     table = ruled_table()
     table.add_column(Text("\nfollower", style="bold"), no_wrap=True)

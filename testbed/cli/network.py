@@ -25,7 +25,7 @@ from testbed.core.files import report_write_errors, write_text_file
 if TYPE_CHECKING:
     from testbed.metrics.model import LinkMetrics
     from testbed.scenario import Scenario
-    from testbed.sim.channel_probe import MessageRecord
+    from testbed.trials.channel_probe import MessageRecord
 
 MAX_PACKETS = 10_000_000
 MAX_ROWS = 50_000_000  # of all links: half a gigabyte of memory, several gigabytes of CSV
@@ -79,8 +79,8 @@ def network_command(
     list); or muted (the transmitter was off).
     """
     from testbed.cli.progress import progress_counter
-    from testbed.sim.channel_probe import probe_channel
-    from testbed.sim.stop_request import stop_on_signals
+    from testbed.runs.stop_request import stop_on_signals
+    from testbed.trials.channel_probe import probe_channel
 
     files = {"--out": out, "--plot": plot, "--json": json}
     _check_different({option: path for option, path in files.items() if path})

@@ -65,7 +65,7 @@ class ProgressBar:
 
 
 class CompilingBar:
-    """Announce once that kernels are compiled, and show how many are ready; see `sim.run.run`."""
+    """Announce once that kernels are compiled, and show how many are ready; see `runs.run.run`."""
 
     def __init__(self, console: Console) -> None:
         """Write and draw on this console."""

@@ -41,8 +41,8 @@ if TYPE_CHECKING:
     from rich.text import Text
 
     from testbed.core.records import Observer
+    from testbed.runs.external_options import ExternalOptions
     from testbed.scenario import Scenario
-    from testbed.sim.external_options import ExternalOptions
 
 _EXTERNAL = "External programs"
 
@@ -152,11 +152,11 @@ def run_command(
     from testbed.cli.progress import CompilingBar, ProgressBar
     from testbed.metrics.expectations import violations
     from testbed.metrics.tables import render_table
+    from testbed.runs.bounds import unchecked_bounds, violation_lines
+    from testbed.runs.run import run
     from testbed.scenario import set_duration
     from testbed.scenario.arguments import check_argument
     from testbed.scenario.sections import Header
-    from testbed.sim.bounds import unchecked_bounds, violation_lines
-    from testbed.sim.run import run
 
     if start_time is not None:
         overrides = [*(overrides or ()), f"log.start_time={start_time}"]
@@ -255,10 +255,10 @@ def external_options(
     Raises:
         InputError: an address, the key or the pace cannot be used.
     """
+    from testbed.commands.tick_gate import check_pace
     from testbed.mavlink.udp_endpoint import parse_address
+    from testbed.runs.external_options import ExternalOptions
     from testbed.scenario.aircraft import ArduPlane, External
-    from testbed.sim.external_options import ExternalOptions
-    from testbed.sim.tick_gate import check_pace
 
     addresses = tuple(parse_address(each) for each in mavlink)
     if pace is None:

@@ -22,8 +22,8 @@ from testbed.core.errors import InputError, escape_controls
 from testbed.core.files import format_bytes
 
 if TYPE_CHECKING:
+    from testbed.flight.world import World
     from testbed.scenario import Scenario
-    from testbed.sim.build import World
 
 MAX_LINE = 38  # characters, which leave the table of `testbed list` within 80 columns
 
@@ -127,8 +127,8 @@ def validate_command(
     Warns about each assumption of the paper that the scenario does not meet. Tests a control law of
     your own with a few calls. Names the code and the programs that a run would start.
     """
+    from testbed.plan.world import build
     from testbed.scenario import dump
-    from testbed.sim.build import build
 
     loaded = load_scenario(scenario, overrides)
     with error_places(scenario, overrides):
@@ -147,7 +147,7 @@ def validate_command(
 
 def _print_stages(world: World) -> None:
     """Print the stages of a flight as a table."""
-    from testbed.sim.run import list_stages
+    from testbed.runs.run import list_stages
 
     rows = [("part", "when", "stage", "runs"), *list_stages(world)]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]

@@ -41,12 +41,12 @@ class Call:
 
     @functools.cached_property
     def words(self) -> Words:
-        """Address of the machine code, then the arguments; each has words of 8 bytes."""
+        """Addresses of a caller and of the entry, then the arguments, as words of 8 bytes."""
         return np.array(self._list_words(), dtype=np.uint64)
 
     def _list_words(self) -> list[int]:
         types = types_of(self._args)
-        words = [self._compiled.compile(types)]
+        words = [*self._compiled.compile(types)]
         for value, kind in zip(self._args, types, strict=True):
             words += _to_words(value, kind)
         return words
@@ -118,7 +118,7 @@ class CallList:
 
 
 class CalledByAddress:
-    """An entry as machine code that takes its arguments as words.
+    """An entry, whose machine code is called by its address.
 
     Attributes:
         function: the entry.
@@ -126,75 +126,90 @@ class CalledByAddress:
 
     def __init__(self, function: Any, takes_time: bool) -> None:  # noqa: ANN401 - numba's
         """Start without machine code."""
-        self.__module__, self.__qualname__ = function.__module__, f"{function.__qualname__}/words"
+        self.__module__, self.__qualname__ = function.__module__, function.__qualname__
         self.function, self._takes_time = function, takes_time
-        self._addresses: dict[tuple[Any, ...], int] = {}
+        self._addresses: dict[tuple[Any, ...], tuple[int, int]] = {}
 
     @property
     def types(self) -> list[tuple[Any, ...]]:
         """Types of the arguments for which there is machine code, numba's."""
         return list(self._addresses)
 
-    def compile(self, types: tuple[Any, ...]) -> int:
-        """Compile or load it for arguments of these types, numba's; return its address."""
+    def compile(self, types: tuple[Any, ...]) -> tuple[int, int]:
+        """Compile or load the entry for arguments of these types, numba's.
+
+        Returns:
+            Address of a function of words and time, and that of the entry, which it calls.
+        """
         if types not in self._addresses:
-            numba_types = _numba_types()
-            words = numba_types.CPointer(numba_types.uint64)
-            returns, time = numba_types.int64, numba_types.float64
-            self._addresses[types] = address_of(self._wrapper(types), returns, words, time)
+            time = (_numba_types().float64,) if self._takes_time else ()
+            self.function.compile((*types, *time))
+            compiled = self.function.overloads[(*types, *time)]
+            name = compiled.fndesc.llvm_func_name
+            address = int(compiled.library.get_pointer_to_function(name))
+            caller = _caller_address(types, compiled.signature.return_type, self._takes_time)
+            self._addresses[types] = caller, address
         return self._addresses[types]
 
-    def _wrapper(self, types: tuple[Any, ...]) -> Callable[..., int]:
-        """Return the function of words and time; its name tells entry and types."""
-        import numba
 
-        njit: Any = numba.njit
-        plain = self.function.py_func
-        inner = njit(error_model="numpy", no_cpython_wrapper=True)(plain)
-        returns = plain.__annotations__["return"] not in ("None", None)
-        wrapper = _make_wrapper(inner, _loader(types), self._takes_time, returns)
-        digest = hashlib.sha256(str(types).encode()).hexdigest()[:16]
-        name = f"{plain.__module__.replace('.', '_')}_{plain.__name__}_{digest}"
-        wrapper.__name__ = wrapper.__qualname__ = name
-        return wrapper
+@functools.cache
+def _caller_address(kinds: tuple[Any, ...], returns: Any, takes_time: bool) -> int:  # noqa: ANN401
+    """Return the address of a function of words and time that calls entries of these types.
+
+    Args:
+        kinds: types of the arguments but the time, numba's.
+        returns: type of the result.
+        takes_time: the time is the last argument.
+    """
+    types = _numba_types()
+    call = _make_call_entry(kinds, returns, takes_time)
+
+    def call_entry(words: Any, now: float) -> int:  # noqa: ANN401
+        return int(call(words, now))
+
+    text = f"{kinds} {returns} {takes_time}"
+    name = f"call_entry_{hashlib.sha256(text.encode()).hexdigest()[:16]}"
+    call_entry.__name__ = call_entry.__qualname__ = name
+    return address_of(call_entry, types.int64, types.CPointer(types.uint64), types.float64)
 
 
-def _make_wrapper(
-    inner: Any,  # noqa: ANN401 - numba's
-    load: Any,  # noqa: ANN401
-    takes_time: bool,
-    returns: bool,
-) -> Callable[..., int]:
-    """Return the function of words and time that calls another one."""
+def _make_call_entry(kinds: tuple[Any, ...], returns: Any, takes_time: bool) -> Any:  # noqa: ANN401
+    """Return the function for kernels that calls an entry, whose address is word 1."""
+    from llvmlite import ir
+    from numba import extending
 
-    def found_at(words: Any, now: float) -> int:  # noqa: ANN401
-        return int(inner(*load(words), now))
+    types, intrinsic = _numba_types(), extending.intrinsic
 
-    def found(words: Any, now: float) -> int:  # noqa: ANN401, ARG001
-        return int(inner(*load(words)))
+    @intrinsic
+    def call(typing_context: Any, words: Any, now: Any) -> Any:  # noqa: ANN401, ARG001
+        def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:  # noqa: ANN401, ARG001
+            word = ir.IntType(64)
+            reader = _WordReader(context, builder, args[0])
+            address = reader.read(types.uint64)
+            values = [reader.read(kind) for kind in kinds]
+            all_kinds = (*kinds, types.float64) if takes_time else kinds
+            values += [args[1]] if takes_time else []
+            function = context.call_conv.get_function_type(returns, all_kinds)
+            callee = builder.inttoptr(address, function.as_pointer())
+            _, found = context.call_conv.call_function(builder, callee, returns, all_kinds, values)
+            if returns == types.none:
+                return ir.Constant(word, 0)
+            return found if found.type == word else builder.zext(found, word)
 
-    def nothing_at(words: Any, now: float) -> int:  # noqa: ANN401
-        inner(*load(words), now)
-        return 0
+        return types.int64(types.CPointer(types.uint64), types.float64), generate
 
-    def nothing(words: Any, now: float) -> int:  # noqa: ANN401, ARG001
-        inner(*load(words))
-        return 0
+    return call
 
-    if returns:
-        return found_at if takes_time else found
-    return nothing_at if takes_time else nothing
+
+@functools.cache
+def _compiled(function: Any, takes_time: bool) -> CalledByAddress:  # noqa: ANN401 - numba's
+    return CalledByAddress(function, takes_time)
 
 
 def _numba_types() -> Any:  # noqa: ANN401
     import numba
 
     return numba.types
-
-
-@functools.cache
-def _compiled(function: Any, takes_time: bool) -> CalledByAddress:  # noqa: ANN401 - numba's
-    return CalledByAddress(function, takes_time)
 
 
 def _to_words(value: Any, kind: Any) -> list[int]:  # noqa: ANN401 - numba's
@@ -207,27 +222,6 @@ def _to_words(value: Any, kind: Any) -> list[int]:  # noqa: ANN401 - numba's
         return [word for each, of in zip(value, kind, strict=True) for word in _to_words(each, of)]
     as_float = isinstance(kind, types.Float)
     return [int(np.array(value, dtype=np.float64 if as_float else np.int64).view(np.uint64))]
-
-
-def _loader(kinds: tuple[Any, ...]) -> Any:  # noqa: ANN401 - numba's
-    """Return the function of words, for kernels, that returns arguments of these types."""
-    types = _numba_types()
-    from numba import extending
-
-    intrinsic: Any = extending.intrinsic
-
-    @intrinsic  # type: ignore[untyped-decorator]
-    def load(typing_context: Any, words: Any) -> Any:  # noqa: ANN401, ARG001 - numba's protocol
-        signature = types.Tuple(kinds)(types.CPointer(types.uint64))
-
-        def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:  # noqa: ANN401
-            reader = _WordReader(context, builder, args[0])
-            values = [reader.read(kind) for kind in kinds]
-            return context.make_tuple(builder, signature.return_type, values)
-
-        return signature, generate
-
-    return load
 
 
 class _WordReader:
@@ -270,15 +264,14 @@ class _WordReader:
         return self._builder.load(self._builder.gep(self._words, [index]))
 
 
-def _make_run_calls() -> Callable[[Words, int, float, NDArray[np.int64]], int]:
+def _make_call() -> Any:  # noqa: ANN401 - numba's
+    """Return the function for kernels that calls machine code by the address of its words."""
     from llvmlite import ir
-
-    types = _numba_types()
     from numba import extending
 
-    intrinsic: Any = extending.intrinsic
+    types, intrinsic = _numba_types(), extending.intrinsic
 
-    @intrinsic  # type: ignore[untyped-decorator]
+    @intrinsic
     def call(typing_context: Any, words: Any, now: Any) -> Any:  # noqa: ANN401, ARG001
         signature = types.int64(types.uint64, types.float64)
 
@@ -291,19 +284,20 @@ def _make_run_calls() -> Callable[[Words, int, float, NDArray[np.int64]], int]:
 
         return signature, generate
 
-    @entry
-    def run_calls(addresses: Words, first: int, now: float, found: NDArray[np.int64]) -> int:
-        """Run the calls at these addresses; see `CallList.run`."""
-        for number in range(first, len(addresses)):
-            found[0] = 0
-            if addresses[number] != 0:
-                found[0] = call(addresses[number], now)
-                if found[0] == 0:
-                    continue
-            return number
-        return len(addresses)
-
-    return run_calls
+    return call
 
 
-_run_calls = _make_run_calls()
+_call = _make_call()  # of the module: in a closure, machine code on disk would not be found
+
+
+@entry
+def _run_calls(addresses: Words, first: int, now: float, found: NDArray[np.int64]) -> int:
+    """Run the calls at these addresses; see `CallList.run`."""
+    for number in range(first, len(addresses)):
+        found[0] = 0
+        if addresses[number] != 0:
+            found[0] = _call(addresses[number], now)
+            if found[0] == 0:
+                continue
+        return number
+    return len(addresses)

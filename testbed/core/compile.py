@@ -53,8 +53,8 @@ _registered: ContextVar[list[Arguments] | None] = ContextVar("registered", defau
 
 # Packages with kernels: a change in any of their files recompiles all kernels.
 KERNEL_PACKAGES = (
-    *("core", "atmosphere", "autopilot", "formation", "guidance"),
-    *("network", "sensors", "sim", "vehicle"),
+    *("core", "atmosphere", "autopilot", "flight", "formation", "guidance"),
+    *("network", "sensors", "trials", "vehicle"),
 )
 _FOLDER_NAME = re.compile("kernels-[0-9a-f]{16}")
 _FILE_NAME = re.compile(r"turn|compiling|ready-[0-9a-f]+|.+\.nb[ci](\.tmp\..+)?")  # in it

@@ -1,9 +1,10 @@
 """The records that all packages share.
 
-A thing has one documented numpy dtype: MOTION, COMMAND, AIRCRAFT, FOLLOWER, LINK and so on. The
-state of a run is a few arrays of them; kernels read and write them in place, and a log sample is a
-copy of them. The public API, observers and own laws see the same fields by the same names as named
-tuples of arrays (`VehicleState`, `FbwaCommand`, ...), which are views made by `fields_of`.
+A field is declared once, in a named tuple of arrays (`VehicleState`, `FbwaCommand`, ...), which the
+public API, observers and own laws see. `record_of` makes the numpy dtype of it: MOTION, COMMAND,
+AIRCRAFT, FOLLOWER, LINK and so on. The state of a run is a few arrays of these records; kernels
+read and write them in place, a log sample is a copy of them, and `fields_of` views them as named
+tuples.
 
 The leading axis of every array counts aircraft: row 0 is the leader, rows 1 to n are the followers
 in the order of the scenario's fleet. Units are SI and radians; vectors are resolved in the local
@@ -17,7 +18,18 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Generic, NamedTuple, Protocol, TypeAlias, TypeVar
+from typing import (
+    Annotated,
+    Any,
+    Generic,
+    NamedTuple,
+    Protocol,
+    TypeAlias,
+    TypeVar,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +41,7 @@ ByteArray = NDArray[np.uint8]
 BoolArray = NDArray[np.bool_]
 UIntArray = NDArray[np.uint32]
 Indices = NDArray[np.intp]  # row numbers
+Vectors: TypeAlias = Annotated[Array, 3]  # three numbers for each element
 
 Records = NDArray[Any]  # a structured array
 # What kernels take and give; numba infers the types.
@@ -41,104 +54,6 @@ _NumbersT = TypeVar("_NumbersT")  # an array, or a number
 # Without the compiler a plain record has no attributes: kernels in a debugger need recarrays.
 _DEBUG = os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0")
 FEW = 100  # numbers of a record that are printed
-
-
-def _dtype(*fields: tuple[Any, ...]) -> np.dtype[Any]:
-    return np.dtype(list(fields), align=True)
-
-
-# The motion of an aircraft: the truth, or an autopilot's estimate of it. See `VehicleState`.
-MOTION = _dtype(
-    ("position_ned", "f8", 3),
-    ("velocity_ned", "f8", 3),
-    ("acceleration_ned", "f8", 3),
-    ("euler", "f8", 3),
-    ("rates_body", "f8", 3),
-    ("airspeed", "f8"),
-    ("equivalent_airspeed", "f8"),
-)
-# The wind that acts on an airframe. See `WindInput`.
-WIND = _dtype(("wind_ned", "f8", 3), ("wind_gradient_rates", "f8", 3), ("wake_delta_cl", "f8"))
-# Flow angles, propeller speed and battery state of the flight model. See `AirData`.
-AIR = _dtype(
-    ("alpha", "f8"),
-    ("beta", "f8"),
-    ("propeller_rps", "f8"),
-    ("state_of_charge", "f8"),
-    ("battery_voltage", "f8"),
-)
-# A fly-by-wire-A command. See `FbwaCommand`.
-COMMAND = _dtype(("pitch", "f8"), ("roll", "f8"), ("throttle", "f8"))
-# Servo commands. See `ActuatorCommand`.
-ACTUATORS = _dtype(("aileron", "f8"), ("elevator", "f8"), ("rudder", "f8"), ("throttle", "f8"))
-# Active faults. See `FaultState`.
-FAULTS = _dtype(
-    ("power", "f8"),
-    ("stuck", "u1", 5),
-    ("stuck_at", "f8", 5),
-    ("floating", "u1", 5),
-    ("floats", "f8", 5),
-    ("frozen", "?"),
-    ("charge", "f8"),
-    ("pitot_blocked", "?"),
-    ("pitot_drained", "?"),
-    ("gps_lost", "?"),
-    ("gps_jump", "f8", 3),
-    ("transmitter_off", "?"),
-)
-# One aircraft at one moment, as kernels, observers and logs see it.
-AIRCRAFT = _dtype(
-    ("truth", MOTION),
-    ("estimate", MOTION),
-    ("wind", WIND),
-    ("air", AIR),
-    ("command", COMMAND),  # given to the autopilot
-    ("control", COMMAND),  # computed by the formation law or the leader's guidance
-    ("surfaces", ACTUATORS),
-    ("faults", FAULTS),
-    ("stopped", "?"),  # its model has failed, or is stepped no more
-    ("down", "?"),  # on the ground, or its model has stopped
-    ("lost", "?"),  # it has been down or has collided: it flies no more
-)
-# One follower: the inputs of the extended unicycle, and its formation. See `FormationState`.
-FOLLOWER = _dtype(
-    ("slot_ned", "f8", 3),
-    ("error_ned", "f8", 3),
-    ("speed", "f8"),
-    ("speed_desired", "f8"),
-    ("airspeed_command", "f8"),
-    ("course", "f8"),
-    ("course_desired", "f8"),
-    ("flight_path_angle", "f8"),
-    ("flight_path_angle_desired", "f8"),
-    ("limiter_flags", "u1"),
-    ("saturations", "u1"),
-    ("slot_index", "u4"),
-    ("estimated_error_ned", "f8", 3),
-    ("speed_command", "f8"),  # u, commanded ground speed, m/s
-    ("omega", "f8", 3),  # ω, rad/s, in the zero-roll velocity frame
-    ("direction", "f8", 3),  # y_d, unit vector
-)
-# What an aircraft broadcasts. See `Broadcast`.
-_CONTENT = (
-    ("position_ned", "f8", 3),
-    ("velocity_ned", "f8", 3),
-    ("acceleration_ned", "f8", 3),
-    ("euler", "f8", 3),
-    ("euler_rates", "f8", 3),
-)
-MESSAGE = _dtype(("stamp_s", "f8"), *_CONTENT)
-# What a follower has received of one aircraft (see `Inbox`), what it used of that, and counters.
-LINK = _dtype(
-    ("stamp_s", "f8"),
-    ("received_s", "f8"),
-    *_CONTENT,
-    ("number", "i8"),  # of the newest message; -1: none
-    ("measured_s", "f8"),  # s, true time of its content; nan: none
-    ("age_s", "f8"),  # s, age of what the last control step used; nan: not used
-    ("sent", "u4"),  # messages, without those of a transmitter that was off
-    ("delivered", "u4"),  # of these, those that arrived or will arrive
-)
 
 
 def allocate(dtype: np.dtype[Any], *shape: int) -> Records:
@@ -219,11 +134,11 @@ def short_repr(kind: type[_RecordT]) -> type[_RecordT]:
 class VehicleState(NamedTuple):
     """The motion of N aircraft: the truth, or an autopilot's estimate of it."""
 
-    position_ned: Array  # (N, 3) m, north, east, down from the origin
-    velocity_ned: Array  # (N, 3) m/s over the ground, north, east, down
-    acceleration_ned: Array  # (N, 3) m/s², derivative of velocity_ned
-    euler: Array  # (N, 3) roll, pitch, yaw, rad
-    rates_body: Array  # (N, 3) p, q, r, rad/s, about body axes forward, right, down
+    position_ned: Vectors  # (N, 3) m, north, east, down from the origin
+    velocity_ned: Vectors  # (N, 3) m/s over the ground, north, east, down
+    acceleration_ned: Vectors  # (N, 3) m/s², derivative of velocity_ned
+    euler: Vectors  # (N, 3) roll, pitch, yaw, rad
+    rates_body: Vectors  # (N, 3) p, q, r, rad/s, about body axes forward, right, down
     airspeed: Array  # (N,) true airspeed, m/s
     equivalent_airspeed: Array  # (N,) m/s, what a pitot tube measures
 
@@ -246,8 +161,8 @@ class AirData(NamedTuple):
     alpha: Array  # (N,) angle of attack, rad
     beta: Array  # (N,) sideslip, rad
     propeller_rps: Array  # (N,) revolutions per second
-    wind_ned: Array  # (N, 3) m/s, velocity of the air
-    wind_gradient_rates: Array  # (N, 3) rad/s, rotation of the air about body axes
+    wind_ned: Vectors  # (N, 3) m/s, velocity of the air
+    wind_gradient_rates: Vectors  # (N, 3) rad/s, rotation of the air about body axes
     wake_delta_cl: Array  # (N,) rolling-moment coefficient of wakes
     state_of_charge: Array  # (N,) 0..1 of the battery; NaN without a battery
     battery_voltage: Array  # (N,) V at its terminals; NaN without a battery
@@ -263,9 +178,9 @@ def air_data(aircraft: Records) -> AirData:
 class WindInput(NamedTuple):
     """Wind on N airframes: its mean and gradients over each airframe."""
 
-    wind_ned: Array  # (N, 3) m/s, velocity of the air, averaged over the wing
+    wind_ned: Vectors  # (N, 3) m/s, velocity of the air, averaged over the wing
     # (N, 3) rad/s, rotation of the air about body axes: ∂w/∂y, −∂w/∂x, ∂v/∂x
-    wind_gradient_rates: Array
+    wind_gradient_rates: Vectors
     wake_delta_cl: Array  # (N,) rolling-moment coefficient of wakes, right wing down
 
 
@@ -287,9 +202,9 @@ class UnicycleCommand(NamedTuple):
     """Inputs of the extended unicycle, computed by a formation law; [HBH23] eqs. (2), (3)."""
 
     speed: Array  # (n,) u, commanded ground speed, m/s: ṡ = p (u − s)
-    omega: Array  # (n, 3) ω, rad/s: (0, pitch rate, yaw rate) of the zero-roll velocity frame
+    omega: Vectors  # (n, 3) ω, rad/s: (0, pitch rate, yaw rate) of the zero-roll velocity frame
     speed_desired: Array  # (n,) s_d, desired ground speed, m/s
-    direction: Array  # (n, 3) y_d, desired direction, unit vector, north, east, down
+    direction: Vectors  # (n, 3) y_d, desired direction, unit vector, north, east, down
     limiter_flags: ByteArray  # (n,) bit set of LimiterFlag; 0: no limit acted
 
 
@@ -309,11 +224,11 @@ class Broadcast(NamedTuple):
     """Messages of N aircraft: their own estimates with time stamps of their own clocks."""
 
     stamp_s: Array  # (N,) sender's time of the measurement
-    position_ned: Array  # (N, 3) m, north, east, down from the origin
-    velocity_ned: Array  # (N, 3) m/s over the ground
-    acceleration_ned: Array  # (N, 3) m/s²
-    euler: Array  # (N, 3) roll, pitch, yaw, rad
-    euler_rates: Array  # (N, 3) their rates, rad/s
+    position_ned: Vectors  # (N, 3) m, north, east, down from the origin
+    velocity_ned: Vectors  # (N, 3) m/s over the ground
+    acceleration_ned: Vectors  # (N, 3) m/s²
+    euler: Vectors  # (N, 3) roll, pitch, yaw, rad
+    euler_rates: Vectors  # (N, 3) their rates, rad/s
 
 
 @document_fields
@@ -322,11 +237,11 @@ class Inbox(NamedTuple):
 
     stamp_s: Array  # (n, N) s, sender's time of the measurement; NaN: no message yet
     received_s: Array  # (n, N) s, receiver's time of the arrival; NaN: no message yet
-    position_ned: Array  # (n, N, 3) m, north, east, down from the origin
-    velocity_ned: Array  # (n, N, 3) m/s over the ground, north, east, down
-    acceleration_ned: Array  # (n, N, 3) m/s², north, east, down
-    euler: Array  # (n, N, 3) roll, pitch, yaw, rad
-    euler_rates: Array  # (n, N, 3) derivatives of roll, pitch, yaw, rad/s
+    position_ned: Vectors  # (n, N, 3) m, north, east, down from the origin
+    velocity_ned: Vectors  # (n, N, 3) m/s over the ground, north, east, down
+    acceleration_ned: Vectors  # (n, N, 3) m/s², north, east, down
+    euler: Vectors  # (n, N, 3) roll, pitch, yaw, rad
+    euler_rates: Vectors  # (n, N, 3) derivatives of roll, pitch, yaw, rad/s
 
 
 @document_fields
@@ -337,8 +252,8 @@ class FormationState(NamedTuple):
     Slots and errors are computed from the truth, and are not fed back.
     """
 
-    slot_ned: Array  # (n, 3) m, the desired position q_g + χ_i
-    error_ned: Array  # (n, 3) m, position − slot
+    slot_ned: Vectors  # (n, 3) m, the desired position q_g + χ_i
+    error_ned: Vectors  # (n, 3) m, position − slot
     speed: Array  # (n,) ground speed, m/s
     speed_desired: Array  # (n,) s_d, m/s
     airspeed_command: Array  # (n,) commanded airspeed, u + s_a − s after its limiter, m/s
@@ -351,7 +266,7 @@ class FormationState(NamedTuple):
     slot_index: UIntArray  # (n,) slot of the follower, a row of the N
     age_s: Array  # (n, n + 1) age of the message of aircraft j that follower i used, s; NaN: none
     # (n, 3) m, formation error computed from the estimates; equals error_ned where they are exact
-    estimated_error_ned: Array
+    estimated_error_ned: Vectors
 
 
 @document_fields
@@ -359,16 +274,16 @@ class FaultState(NamedTuple):
     """Active faults of N aircraft; surfaces in the order of `control_surfaces.SURFACES`."""
 
     power: Array  # (N,) 0..1, share of the throttle that reaches the motor
-    stuck: BoolArray  # (N, 5) stuck surfaces
-    stuck_at: Array  # (N, 5) -1..1, their positions; NaN: where they were
-    floating: BoolArray  # (N, 5) floating surfaces
-    floats: Array  # (N, 5) their deflection per angle of the flow, rad/rad
+    stuck: Annotated[BoolArray, 5]  # (N, 5) stuck surfaces
+    stuck_at: Annotated[Array, 5]  # (N, 5) -1..1, their positions; NaN: where they were
+    floating: Annotated[BoolArray, 5]  # (N, 5) floating surfaces
+    floats: Annotated[Array, 5]  # (N, 5) their deflection per angle of the flow, rad/rad
     frozen: BoolArray  # (N,) the autopilot is frozen: servos hold the last command
     charge: Array  # (N,) 0..1 to which the battery drops now; NaN: no drop
     pitot_blocked: BoolArray  # (N,)
     pitot_drained: BoolArray  # (N,) the drain of a blocked pitot tube is open
     gps_lost: BoolArray  # (N,)
-    gps_jump: Array  # (N, 3) m NED, error of every fix
+    gps_jump: Vectors  # (N, 3) m NED, error of every fix
     transmitter_off: BoolArray  # (N,)
 
 
@@ -388,6 +303,69 @@ class LinkCounters(NamedTuple):
 
     sent: UIntArray  # (n, N)
     delivered: UIntArray  # (n, N) of these, those that arrived or will arrive
+
+
+def record_of(kind: type, *more: tuple[Any, ...], without: Sequence[str] = ()) -> np.dtype[Any]:
+    """Return the dtype of one element of the arrays of a named tuple.
+
+    Args:
+        kind: the named tuple; an array with several numbers for each element is annotated with
+            their number.
+        more: further fields, as of a dtype.
+        without: fields that the records do not have.
+    """
+    fields: list[tuple[Any, ...]] = []
+    for name, hint in get_type_hints(kind, include_extras=True).items():
+        if name not in without:
+            array, *inner = get_args(hint) if get_origin(hint) is Annotated else (hint,)
+            one = _ONE.get(array, "f8")
+            # kernels read no array of bool
+            fields.append((name, "u1" if one == "?" and inner else one, *inner))
+    return np.dtype([*fields, *more], align=True)
+
+
+_ONE = {BoolArray: "?", ByteArray: "u1", UIntArray: "u4"}  # of arrays that are not float64
+
+MOTION = record_of(VehicleState)  # the truth, or an autopilot's estimate of it
+WIND = record_of(WindInput)
+AIR = record_of(AirData, without=WindInput._fields)  # the wind is in a record of its own
+COMMAND = record_of(FbwaCommand)
+ACTUATORS = record_of(ActuatorCommand)
+FAULTS = record_of(FaultState)
+MESSAGE = record_of(Broadcast)
+# One aircraft at one moment, as kernels, observers and logs see it.
+AIRCRAFT = np.dtype(
+    [
+        ("truth", MOTION),
+        ("estimate", MOTION),
+        ("wind", WIND),
+        ("air", AIR),
+        ("command", COMMAND),  # given to the autopilot
+        ("control", COMMAND),  # computed by the formation law or the leader's guidance
+        ("surfaces", ACTUATORS),
+        ("faults", FAULTS),
+        ("stopped", "?"),  # its model has failed, or is stepped no more
+        ("down", "?"),  # on the ground, or its model has stopped
+        ("lost", "?"),  # it has been down or has collided: it flies no more
+    ],
+    align=True,
+)
+# One follower: its formation, and the inputs of the extended unicycle.
+FOLLOWER = record_of(
+    FormationState,
+    ("speed_command", "f8"),  # u, commanded ground speed, m/s
+    ("omega", "f8", 3),  # ω, rad/s, in the zero-roll velocity frame
+    ("direction", "f8", 3),  # y_d, unit vector
+    without=("age_s",),
+)
+# What a follower has received of one aircraft, what it used of that, and counters.
+LINK = record_of(
+    Inbox,
+    ("number", "i8"),  # of the newest message; -1: none
+    ("measured_s", "f8"),  # s, true time of its content; nan: none
+    ("age_s", "f8"),  # s, age of what the last control step used; nan: not used
+    *((name, "u4") for name in LinkCounters._fields),
+)
 
 
 @document_fields

@@ -15,6 +15,7 @@ from gymnasium.utils import seeding
 from numpy.typing import NDArray
 from pydantic import Field
 
+from testbed.commands.autopilot_session import MANUAL_ANGLE_LIMIT
 from testbed.core.errors import InputError
 from testbed.core.files import report_write_errors
 from testbed.core.records import (
@@ -23,6 +24,8 @@ from testbed.core.records import (
     Sample,
 )
 from testbed.core.velocity_frame import velocity_frame
+from testbed.flight.world import World
+from testbed.runs.simulation import Simulation
 from testbed.scenario import (
     Scenario,
     ScenarioError,
@@ -43,9 +46,6 @@ from testbed.scenario.load import parse_setting
 from testbed.scenario.sections import Distance, Header
 from testbed.scenario.validate import shown_value
 from testbed.scenario.yaml_io import to_inline
-from testbed.sim.autopilot_session import MANUAL_ANGLE_LIMIT
-from testbed.sim.build import World
-from testbed.sim.simulation import Simulation
 
 Vector = NDArray[np.float32]
 

@@ -20,8 +20,8 @@ from testbed.rl.episodes import (
     observation_space,
     refuse_render_mode,
 )
+from testbed.runs.simulation import Simulation
 from testbed.scenario.validate import shown_value
-from testbed.sim.simulation import Simulation
 
 
 class FormationEnv(ParallelEnv):  # type: ignore[misc] # a library without types

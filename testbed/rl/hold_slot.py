@@ -14,9 +14,9 @@ from testbed.rl.episodes import (
     observation_space,
     refuse_render_mode,
 )
+from testbed.runs.simulation import Simulation
 from testbed.scenario.aircraft import AircraftSection
 from testbed.scenario.arguments import check_argument
-from testbed.sim.simulation import Simulation
 
 
 class HoldSlotEnv(gymnasium.Env[Any, Any]):

@@ -14,7 +14,7 @@ from contextlib import contextmanager
 
 from testbed.core.compile import NOTICE, cache_folder, is_compiling
 from testbed.core.errors import ExternalProgramLost, InputError, raise_memory_shortage
-from testbed.sim.stop_request import StopRequest, stop_on_signals
+from testbed.runs.stop_request import StopRequest, stop_on_signals
 from testbed.studies.dask_workers import LOST, DaskWorkers
 from testbed.studies.flight_task import (
     FAILED,

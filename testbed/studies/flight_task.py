@@ -83,7 +83,7 @@ def run_task(task: FlightTask) -> FlightResult:
     Raises:
         MemoryError: there was too little memory, which is no result of the flight.
     """
-    from testbed.sim.run import run  # in workers only: the parent process does not simulate
+    from testbed.runs.run import run  # in workers only: the parent process does not simulate
 
     assert task.scenario is not None
     metrics: Mapping[str, Any] | None = None

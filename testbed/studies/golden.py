@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from testbed.core.errors import InputError
+from testbed.runs.bounds import bound_results
 from testbed.scenario import Scenario, find_scenario, library, load_scenario, set_seed
-from testbed.sim.bounds import bound_results
 from testbed.studies.flight_pool import open_flight_pool
 from testbed.studies.flight_task import FlightTask
 from testbed.studies.golden_compare import (

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from testbed.metrics.document import errors
-from testbed.sim.bounds import BoundResult
+from testbed.runs.bounds import BoundResult
 from testbed.studies.flight_task import COMPLETED
 from testbed.studies.golden_table import (
     FALSE_ALARM,

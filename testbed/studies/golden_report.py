@@ -9,7 +9,7 @@ from typing import Any
 from rich.console import Console
 from rich.text import Text
 
-from testbed.sim.bounds import BoundResult
+from testbed.runs.bounds import BoundResult
 from testbed.studies.golden import UpdateResult
 from testbed.studies.golden_compare import RowComparison, Verdict, Violation
 from testbed.studies.golden_table import RULES, row_label

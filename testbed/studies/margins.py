@@ -9,9 +9,9 @@ from typing import Any
 
 from testbed.core.errors import InputError
 from testbed.scenario import Scenario
-from testbed.sim.margins import Margins, directions, measure_margins, worse_of
 from testbed.studies.flight_pool import FlightPool
 from testbed.studies.flight_task import COMPLETED, FlightTask
+from testbed.trials.margins import Margins, directions, measure_margins, worse_of
 
 
 def _measure(bank_deg: float, scenario: Scenario) -> dict[str, Any]:

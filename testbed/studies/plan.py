@@ -17,6 +17,7 @@ from pathlib import Path
 
 from testbed.core.input_files import read_bounded_text
 from testbed.core.random import named_stream
+from testbed.runs.bounds import unchecked_bounds
 from testbed.scenario import (
     Scenario,
     ScenarioFile,
@@ -31,7 +32,6 @@ from testbed.scenario import (
 from testbed.scenario.problems import FilePosition, Problem, ScenarioError
 from testbed.scenario.validate import validate
 from testbed.scenario.yaml_io import Node, read, to_inline, walk
-from testbed.sim.bounds import unchecked_bounds
 from testbed.studies.study_schema import CASE_SCENARIO, StudyConfig, Value
 
 MAX_CHECKED = 2_000  # scenarios read before a study is flown; each takes some milliseconds

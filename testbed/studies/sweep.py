@@ -16,10 +16,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from testbed.core.compile import KERNEL_PACKAGES, source_digest
+from testbed.core.compile import source_digest
 from testbed.core.errors import InputError
 from testbed.metrics.document import initial_warnings
 from testbed.metrics.expectations import bound_key, violations
+from testbed.plan.world import versions
+from testbed.runs.bounds import violation_lines
 from testbed.scenario import Scenario, dump
 from testbed.scenario.arguments import (
     check_calls,
@@ -28,8 +30,6 @@ from testbed.scenario.arguments import (
     check_path,
 )
 from testbed.scenario.problems import ScenarioError
-from testbed.sim.bounds import violation_lines
-from testbed.sim.build import versions
 from testbed.studies.dask_workers import cluster_notices
 from testbed.studies.flight_pool import FlightPool, open_flight_pool
 from testbed.studies.flight_task import COMPLETED, OUTCOMES, FlightResult, FlightTask
@@ -48,7 +48,10 @@ REFRESH_S = 30.0  # between two writes of the result file while runs are flown, 
 MAX_WRITE_SHARE = 0.02  # of the time, for these writes
 MAX_WARNINGS = 6  # kinds of warnings from before a flight that are reported
 # packages that a flight of a study imports: a change in any of their files can change its rows
-FLIGHT_PACKAGES = (*KERNEL_PACKAGES, "logs", "mavlink", "metrics", "plan", "scenario", "studies")
+FLIGHT_PACKAGES = (
+    *("core", "atmosphere", "autopilot", "commands", "flight", "formation", "guidance", "logs"),
+    *("mavlink", "metrics", "network", "plan", "runs", "scenario", "sensors", "studies", "vehicle"),
+)
 _PACKAGE = Path(__file__).parents[1]
 _LEFT_OUT = ("name", "question", "metrics")  # settings that change no row
 

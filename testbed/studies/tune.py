@@ -169,7 +169,7 @@ class TuneProblem:
         """
         if not self.tune.config.constraints:
             return
-        from testbed.sim.steady_flight import MarginsError, check_measurable
+        from testbed.trials.steady_flight import MarginsError, check_measurable
 
         for run in self.runs:
             try:

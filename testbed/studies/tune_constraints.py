@@ -134,6 +134,6 @@ def _directions(constraint: Constraint) -> tuple[float, ...]:
 
 def _measure(requirement: Mapping[str, Any], bank_deg: float, scenario: Scenario) -> dict[str, Any]:
     """Measure in a worker; the parent process does not simulate."""
-    from testbed.sim.margins import Requirement, measure_required
+    from testbed.trials.margins import Requirement, measure_required
 
     return measure_required(scenario, Requirement(**requirement), bank_deg)

@@ -71,6 +71,7 @@ def test_modules_import_without_cycles():
 
 # What each package may know of the others; every one may know `core` and itself.
 MODELS = ("atmosphere", "formation", "guidance")
+PARTS = ("mavlink", "autopilot", "vehicle", "scenario", "network", "sensors")  # of a flight
 LAYERS = {
     "core": set(),
     **{name: set() for name in MODELS},
@@ -84,14 +85,13 @@ LAYERS = {
     "logs": {"scenario", "formation", "metrics"},
     "views": {"formation", "logs"},
     "reports": {"formation", "logs", "metrics", "scenario", "views"},
-    "plan": {"autopilot", "scenario", "vehicle"},
-    "sim": {
-        *MODELS,
-        *("mavlink", "autopilot", "vehicle", "scenario", "network", "sensors", "metrics", "logs"),
-        "plan",
-    },
-    "studies": {"autopilot", "mavlink", "logs", "metrics", "scenario", "sim"},
-    "rl": {"scenario", "sim"},
+    "flight": {*MODELS, *PARTS, "metrics"},
+    "commands": {"guidance", "mavlink", "autopilot", "vehicle", "scenario", "flight"},
+    "plan": {*MODELS, *PARTS, "flight", "commands"},
+    "trials": {*MODELS, *PARTS, "flight", "plan"},
+    "runs": {"mavlink", "vehicle", "scenario", "metrics", "logs", "flight", "commands", "plan"},
+    "studies": {"autopilot", "mavlink", "logs", "metrics", "scenario", "plan", "runs", "trials"},
+    "rl": {"scenario", "flight", "commands", "runs"},
     "cli": None,  # the command line uses all of them, and nothing uses it
 }
 
@@ -170,8 +170,8 @@ OPENING = {
     "vehicle.forked_trial": "a pipe to its own child, and the null device",
     "views.feeder_process": "the null device",
     "views.viewer": "a table of the kernel",
-    "sim.resources": "tables of the kernel",
-    "sim.user_code": "metadata of an installed package",
+    "plan.resources": "tables of the kernel",
+    "plan.user_code": "metadata of an installed package",
     "cli.output": "the null device",
 }
 
@@ -274,12 +274,12 @@ RUNS_CODE = {
         "views.viewer",  # rerun, beside this Python
     },
     "pickle": {
-        "sim.user_code",  # dumps only: whether a law's memory has changed
+        "plan.user_code",  # dumps only: whether a law's memory has changed
         "views.feeder_process",  # what its own parent sends
         "views.view",
     },
     "importlib": {
-        "sim.user_code",  # laws and functions of scenarios: `find_code` is the gate
+        "plan.user_code",  # laws and functions of scenarios: `find_code` is the gate
         "testbed",  # names of its own that load on demand
         "rl",
     },
@@ -295,7 +295,7 @@ CALLS = re.compile(
 
 
 def test_code_is_run_in_known_places_only():
-    """A scenario, study or log reaches none of them but `sim.user_code`."""
+    """A scenario, study or log reaches none of them but `plan.user_code`."""
     harmless = ("importlib.metadata", "importlib.resources")
     for package, known in RUNS_CODE.items():
         used = {

@@ -14,8 +14,8 @@ from run_flight import Collector
 import testbed
 from testbed.core.errors import ExternalProgramLost
 from testbed.core.records import FbwaCommand, VehicleState, fields_of
+from testbed.plan.world import build
 from testbed.scenario import loads, set_duration
-from testbed.sim.build import build
 
 STAND_IN = Path(__file__).with_name("arduplane_stand_in.py")
 # Parallel test processes have consecutive numbers; each has four instances of its own.

@@ -26,11 +26,11 @@ _NOTE = struct.Struct("dd")
 # each sample a run writes the running time and the simulated time to a file, without buffers.
 _FORKING = """
 import json, os, struct, sys
-import testbed.sim.run
+import testbed.runs.run
 from process_time import ProcessTime
 from testbed.cli.main import main
 from testbed.scenario import load_scenario, set_duration
-from testbed.sim.run import run
+from testbed.runs.run import run
 
 run(set_duration(load_scenario("simulation-3"), 0.1), write=False)  # loads what flights need
 
@@ -50,7 +50,7 @@ for line in sys.stdin:
     child = os.fork()
     if not child:
         notes = Notes(path, ProcessTime(clock).__enter__())
-        testbed.sim.run.run = lambda *a, observers=(), **k: run(
+        testbed.runs.run.run = lambda *a, observers=(), **k: run(
             *a, observers=[*observers, notes], **k
         )
         sys.argv = ["testbed", *arguments]

@@ -56,8 +56,8 @@ def by_suffix(ending, *, within=""):
 
 def feed_scenario(path):
     """Resolve, dump and build it, and simulate 0.2 s."""
-    from testbed.sim.build import build
-    from testbed.sim.loop import fly
+    from testbed.flight.loop import fly
+    from testbed.plan.world import build
 
     scenario = load_scenario(path)
     dump(scenario)
@@ -243,7 +243,7 @@ def feed_log(path):
     from testbed.logs.read import read_log, samples
     from testbed.reports import read_run, run_page
     from testbed.reports.html import render_page
-    from testbed.sim.recover import recover
+    from testbed.runs.recover import recover
     from testbed.studies.compare_runs import compare_runs
 
     log = read_log(path)

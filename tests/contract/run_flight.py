@@ -5,9 +5,9 @@ import textwrap
 
 import numpy as np
 
+from testbed.flight.loop import fly
+from testbed.plan.world import build
 from testbed.scenario import load_scenario, set_duration
-from testbed.sim.build import build
-from testbed.sim.loop import fly
 
 SECONDS = 20.0
 NOISY = ("leader.sensors=gps-ins", "fleet.*.sensors=gps-ins")

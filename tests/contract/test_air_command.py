@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from testbed.cli.main import app
 from testbed.core.errors import InputError
 from testbed.scenario import json_schema, load_scenario, loads
-from testbed.sim.probes import (
+from testbed.trials.probes import (
     ProbePath,
     aliased,
     closed_form,

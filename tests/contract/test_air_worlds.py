@@ -7,12 +7,12 @@ import pytest
 
 from testbed.core.errors import InputError
 from testbed.core.records import AIRCRAFT, allocate
+from testbed.plan.air import build_air, build_mean_wind
+from testbed.plan.world import build
+from testbed.runs.run import run
 from testbed.scenario import find_aircraft, load_scenario, set_duration
 from testbed.scenario.schema import Scenario
-from testbed.sim.build import build
-from testbed.sim.build_air import build_air, build_mean_wind
-from testbed.sim.probes import ProbePath, fly_probes
-from testbed.sim.run import run
+from testbed.trials.probes import ProbePath, fly_probes
 from testbed.vehicle.jsbsim_adapter import airframe
 
 SECONDS = 4.0

@@ -32,10 +32,10 @@ from testbed.autopilot.sitl_parameters import defaults_text
 from testbed.autopilot.sitl_process import command_line
 from testbed.core.records import NedOrigin
 from testbed.metrics.tables import render_table
+from testbed.plan.world import build
+from testbed.runs.external_options import ExternalOptions
+from testbed.runs.run import run
 from testbed.scenario import find_tune, load_scenario, loads, set_duration
-from testbed.sim.build import build
-from testbed.sim.external_options import ExternalOptions
-from testbed.sim.run import run
 from testbed.studies.sweep import sweep
 from testbed.studies.table import read_table
 

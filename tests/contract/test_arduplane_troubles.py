@@ -16,7 +16,7 @@ from testbed.autopilot.ardupilot_sitl import SitlConfig, SitlVehicle, _used_port
 from testbed.autopilot.sitl_process import SitlProcess, find_binary, stop_processes
 from testbed.core.errors import ExternalProgramLost, InputError
 from testbed.core.records import NedOrigin
-from testbed.sim.build import build
+from testbed.plan.world import build
 
 assert binary  # a fixture
 

@@ -21,10 +21,10 @@ from testbed.mavlink.udp_endpoint import Address, parse_address
 from testbed.rl.episodes import Task
 from testbed.rl.formation import FormationEnv
 from testbed.rl.hold_slot import HoldSlotEnv
+from testbed.runs.external_options import ExternalOptions
+from testbed.runs.single_aircraft import _ARGUMENTS
 from testbed.scenario import load_scenario, set_duration, set_seed
 from testbed.scenario.arguments import with_changes
-from testbed.sim.external_options import ExternalOptions
-from testbed.sim.single_aircraft import _ARGUMENTS
 from testbed.studies.sweep import sweep
 
 CALLS = int(os.environ.get("TESTBED_ARGUMENTS", "150"))

@@ -352,8 +352,8 @@ def test_run_ctrl_c_exits_130_and_keeps_the_log(tmp_path):
     ("words", "work"),
     [
         (("check", "exact.yaml", "--update", "--reason", "why"), "studies.golden.fly_all"),
-        (("network", "bursty-wifi", "--out", "old.csv"), "sim.channel_probe.probe_channel"),
-        (("air", "simulation-3", "--out", "old.csv"), "sim.probes.fly_probes"),
+        (("network", "bursty-wifi", "--out", "old.csv"), "trials.channel_probe.probe_channel"),
+        (("air", "simulation-3", "--out", "old.csv"), "trials.probes.fly_probes"),
     ],
     ids=["check", "network", "air"],
 )

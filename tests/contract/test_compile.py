@@ -33,7 +33,7 @@ def step(records):
 """
 CALL = """
 from testbed.core.records import allocate
-from testbed.sim.stepping import step
+from testbed.flight.stepping import step
 import numpy as np
 
 records = allocate(np.dtype([("x", "f8"), ("v", "f8", 3)], align=True), 2)
@@ -47,14 +47,14 @@ print(records["x"].tolist(), hits)
 def package(tmp_path):
     """A package with the product's core and two kernel packages of its own."""
     package = tmp_path / "testbed"
-    for name in ("core", "sim", "formation"):
+    for name in ("core", "flight", "formation"):
         (package / name).mkdir(parents=True)
         (package / name / "__init__.py").touch()
     (package / "__init__.py").touch()
     core = Path(compiling.__file__).parent
     for module in ("compile.py", "field_docs.py", "records.py"):
         shutil.copy(core / module, package / "core")
-    (package / "sim" / "stepping.py").write_text(ENTRY)
+    (package / "flight" / "stepping.py").write_text(ENTRY)
     (package / "formation" / "numbers.py").write_text("STEP = 1.0\n")
     return package
 
@@ -135,7 +135,7 @@ def test_digest_covers_names_and_texts_of_packages(tmp_path):
     for each in KERNEL_PACKAGES:
         (tmp_path / each / "module.py").write_text("A = 2\n")
         seen.add(source_digest(tmp_path))
-    (tmp_path / "sim" / "module.py").rename(tmp_path / "sim" / "other.py")
+    (tmp_path / "flight" / "module.py").rename(tmp_path / "flight" / "other.py")
     seen.add(source_digest(tmp_path))
     assert len(seen) == len(KERNEL_PACKAGES) + 2
 
@@ -207,7 +207,9 @@ def test_a_folder_that_only_can_be_read_is_not_taken(parents, tmp_path, monkeypa
 
 def test_code_is_cached_in_no_folder_of_numba(package, tmp_path):
     """A folder that cannot be written any more is no reason to use one keyed by one file."""
-    lost = CALL.replace("from testbed.sim", "shutil.rmtree(cache); cache.touch()\nfrom testbed.sim")
+    lost = CALL.replace(
+        "from testbed.flight", "shutil.rmtree(cache); cache.touch()\nfrom testbed.flight"
+    )
     begin = "import shutil\nfrom testbed.core.compile import cache_folder\ncache = cache_folder()\n"
     home = tmp_path / "home"
     home.mkdir()
@@ -236,7 +238,7 @@ def step(records):
 def test_constant_of_core_is_never_stale(package, tmp_path, place):
     """Wherever machine code is kept, and where it is not, a change compiles anew."""
     frames = Path(compiling.__file__).parent / "frames.py"
-    (package / "sim" / "stepping.py").write_text(GRAVITY_ENTRY)
+    (package / "flight" / "stepping.py").write_text(GRAVITY_ENTRY)
     home, wanted = tmp_path / "home", tmp_path / "wanted"
     home.mkdir()
     options, kept = {"HOME": str(home)}, {package / "__pycache__"}

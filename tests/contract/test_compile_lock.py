@@ -12,7 +12,7 @@ from waiting import TIMEOUT_S, until
 from worker_tasks import run_task
 
 from testbed.core.compile import NOTICE, compile_turn, is_compiling
-from testbed.sim.stop_request import RunStopped
+from testbed.runs.stop_request import RunStopped
 from testbed.studies.flight_pool import FlightPool
 from testbed.studies.flight_task import FlightTask
 
@@ -145,7 +145,7 @@ def test_run_prints_that_it_compiles(tmp_path, monkeypatch):
             for done in (0, 1, 2):
                 progress(done, 2)
 
-    monkeypatch.setattr("testbed.sim.loop.prepare", prepare)
+    monkeypatch.setattr("testbed.flight.loop.prepare", prepare)
     arguments = ("run", "ideal-figure-eight", "--duration", "1")
     done = call_command(*arguments, cwd=tmp_path, code=0, columns=80)
     assert done.stderr.splitlines().count(NOTICE) == 1

@@ -10,6 +10,7 @@ from run_flight import Collector, short
 
 from testbed.autopilot.sitl_process import command_line
 from testbed.core.records import NedOrigin
+from testbed.flight.loop import fly
 from testbed.guidance.flight_plan import GuidanceMission, WaypointLeg
 from testbed.mavlink.mission_plans import items_from_mission, plan_from_items
 from testbed.mavlink.telemetry_motion import global_position_int, gps_raw_int
@@ -17,10 +18,9 @@ from testbed.mavlink.telemetry_snapshot import TelemetrySnapshot
 from testbed.mavlink.telemetry_status import home_position
 from testbed.mavlink.vehicle_context import VehicleContext
 from testbed.mavlink.vehicle_control import FlightMode, Rejection
+from testbed.plan.world import build
 from testbed.scenario import load_scenario
 from testbed.scenario.problems import ScenarioError
-from testbed.sim.build import build
-from testbed.sim.loop import fly
 
 PLACE = -179.9995  # degrees; 44 m east of the meridian at a latitude of 38°
 RADIUS = 6378137.0 / math.sqrt(1.0 - 6.69437999014e-3 * math.sin(math.radians(38.0)) ** 2) + 300.0

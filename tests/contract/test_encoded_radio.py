@@ -15,9 +15,9 @@ from testbed.network.channel import make_channel
 from testbed.network.clocks import make_clocks
 from testbed.network.links import PacketOutcome, resolve_links
 from testbed.network.radio import Radio
+from testbed.plan.radio import build_radio
 from testbed.scenario import dump, loads
 from testbed.scenario.network import Network, StampClock
-from testbed.sim.build_radio import build_radio
 
 MINIMAL = (Path(__file__).parents[1] / "data" / "scenarios" / "minimal.yaml").read_text()
 NAMES = ("leader", "uav1", "uav2", "uav3")
@@ -239,7 +239,7 @@ def test_encoding_changes_a_flight_by_millimetres(run_metrics):
 
 def test_undetected_errors_do_not_stop_a_flight(run_metrics, monkeypatch):
     """They may hold any number; at worst the flight ends as lost."""
-    from testbed.sim import build_radio as radios
+    from testbed.plan import radio as radios
 
     monkeypatch.setattr(radios, "FollowTarget", AcceptAll)
     changes = (

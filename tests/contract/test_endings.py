@@ -36,8 +36,8 @@ import testbed
 from testbed.logs.file_record import RECORD_NAME
 from testbed.logs.mcap_file import LogError
 from testbed.logs.read import read_log
+from testbed.runs.recover import recover
 from testbed.scenario import load_scenario, set_duration
-from testbed.sim.recover import recover
 from testbed.studies.golden_table import read_table
 
 KILLS = int(os.environ.get("TESTBED_KILLS", "4"))
@@ -279,7 +279,7 @@ def test_run_keeps_the_scenario_of_another_run(tmp_path, monkeypatch):
     run = tmp_path / "run"
     run.mkdir()
     (run / SCENARIO_FILE).write_text("of another run")
-    monkeypatch.setattr("testbed.sim.run.create_run_directory", lambda *_, **__: run)
+    monkeypatch.setattr("testbed.runs.run.create_run_directory", lambda *_, **__: run)
     with pytest.raises(LogError, match="another run has just begun in it; name a new"):
         testbed.run(set_duration(load_scenario(SCENARIO), 1.0), out=run)
     assert [each.name for each in run.iterdir()] == [SCENARIO_FILE]

@@ -7,8 +7,8 @@ import pytest
 from commands import call_command
 
 from testbed.metrics.expectations import check_expectations, describe_violation, violations
+from testbed.runs.bounds import unchecked_bounds
 from testbed.scenario import load_scenario, set_duration
-from testbed.sim.bounds import unchecked_bounds
 
 DIFFERENT = 3
 RMS = "  rms_m: {max: 2, circles: {max: 1, uav2: {min: 0.001, max: 0.01}}}"

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from run_flight import Collector
 
+from testbed.flight.loop import fly
+from testbed.plan.world import build
+from testbed.runs.run import run
 from testbed.scenario import ScenarioError, load_scenario, set_duration
-from testbed.sim.build import build
-from testbed.sim.loop import fly
-from testbed.sim.run import run
 
 EXPERIMENTS = ("experiment-1", "experiment-2", "experiment-3")
 SECONDS = 56.0  # in slot, and in Experiment 1 once round the circle

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from run_flight import Collector, short
 
+from testbed.commands.external_control import ExternalControl
 from testbed.core.geodetic import geodetic_from_ned
 from testbed.core.records import FbwaCommand, NedOrigin
+from testbed.flight.loop import fly
 from testbed.mavlink.vehicle_control import FlightMode, MissionItem, Rejection
 from testbed.metrics.facts import describe_commands
-from testbed.sim.build import build
-from testbed.sim.external_control import ExternalControl
-from testbed.sim.external_options import ExternalOptions
-from testbed.sim.loop import fly
-from testbed.sim.run import run
+from testbed.plan.world import build
+from testbed.runs.external_options import ExternalOptions
+from testbed.runs.run import run
 
 EXTERNAL = "fleet.2.commanded_by=external"
 

@@ -12,8 +12,8 @@ from testbed.cli.main import app
 from testbed.core.errors import InputError
 from testbed.core.records import AirData, VehicleState, fields_of
 from testbed.core.velocity_frame import velocity_frame
+from testbed.plan.world import build
 from testbed.scenario import load_scenario, loads
-from testbed.sim.build import build
 
 # Simulation 3 before the first lap, with all followers in their slots from the start.
 SCENARIO = """

@@ -16,8 +16,8 @@ from commands import environment
 from waiting import TIMEOUT_S, until
 
 from testbed.core.errors import ExternalProgramLost, InputError
+from testbed.runs.stop_request import StopRequest
 from testbed.scenario import library
-from testbed.sim.stop_request import StopRequest
 from testbed.studies import dask_workers, flight_pool, local_workers
 from testbed.studies.flight_pool import open_flight_pool
 from testbed.studies.flight_task import FlightTask

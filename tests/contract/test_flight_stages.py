@@ -10,9 +10,9 @@ import testbed
 from testbed.core.call_list import NOW, Call, CallList
 from testbed.core.compile import entry
 from testbed.core.errors import InputError
+from testbed.plan.world import build
+from testbed.runs.run import list_stages
 from testbed.scenario import load_scenario, set_duration
-from testbed.sim.build import build
-from testbed.sim.run import list_stages
 
 DOCS = Path(__file__).parents[2] / "docs"
 

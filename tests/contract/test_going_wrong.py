@@ -9,9 +9,9 @@ from run_flight import Collector
 from typer.testing import CliRunner
 
 from testbed.cli.main import app
+from testbed.flight.loop import fly
+from testbed.plan.world import build
 from testbed.scenario import find_aircraft, loads, set_duration
-from testbed.sim.build import build
-from testbed.sim.loop import fly
 from testbed.studies.flight_task import FlightTask, run_task
 from testbed.studies.tune_search import flight_cost
 from testbed.vehicle.jsbsim_adapter import airframe

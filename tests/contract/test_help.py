@@ -81,3 +81,34 @@ def test_help_describes_methods_and_properties(kind):
     for name, member in inspect.getmembers_static(kind):
         if not name.startswith("_") and not inspect.ismemberdescriptor(member):
             assert inspect.getdoc(member), f"{kind.__name__}.{name}"
+
+
+@pytest.mark.parametrize(
+    ("kind", "dtype"),
+    [
+        (records.VehicleState, records.MOTION),
+        (records.AirData, records.AIRCRAFT),
+        (records.WindInput, records.WIND),
+        (records.FbwaCommand, records.COMMAND),
+        (records.ActuatorCommand, records.ACTUATORS),
+        (records.FaultState, records.FAULTS),
+        (records.Broadcast, records.MESSAGE),
+        (records.FormationState, records.FOLLOWER),
+        (records.Inbox, records.LINK),
+    ],
+)
+def test_documented_shapes_are_those_of_records(kind, dtype):
+    """Shapes beyond the axes of aircraft and followers: (N, 3) is three numbers in a record."""
+    shapes = {name: dtype[name].shape for name in dtype.names}
+    if kind is records.AirData:
+        shapes = {
+            name: dtype[part][name].shape for part in ("air", "wind") for name in dtype[part].names
+        }
+    checked = 0
+    for name in kind._fields:
+        axes = re.search(rf"^ *{name}: \(([^)]*)\)", kind.__doc__, re.M)[1].split(",")
+        inner = tuple(int(axis) for axis in axes if axis.strip().isdigit())
+        if name in shapes:
+            assert shapes[name] == inner, name
+            checked += 1
+    assert checked >= len(kind._fields) - 1  # age_s of FormationState is of the links

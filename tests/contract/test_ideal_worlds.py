@@ -5,8 +5,8 @@ import pytest
 from run_flight import Collector
 
 import testbed
+from testbed.plan.world import build
 from testbed.scenario import load_scenario, loads, set_duration
-from testbed.sim.build import build
 
 IDEAL = "fleet.*.vehicle=unicycle"
 WIND = ("air.wind.speed_mps=8", "air.wind.from_deg=90")  # on the nose of simulation-3's first leg

@@ -15,8 +15,8 @@ from waiting import TIMEOUT_S
 import testbed
 from testbed.logs.mcap_file import read
 from testbed.mavlink.udp_endpoint import parse_address
+from testbed.runs.external_options import NO_EXTERNAL
 from testbed.scenario import dump, load_scenario, loads
-from testbed.sim.external_options import NO_EXTERNAL
 
 # Everything that draws from a seed: turbulence, sensors, a radio that loses, delays and repeats.
 BUSY = [

@@ -20,8 +20,8 @@ from testbed.logs.mcap_file import LogError
 from testbed.logs.read import read_log
 from testbed.mavlink.flight_import import read_flight
 from testbed.mavlink.signing import is_shared, read_key
+from testbed.plan import user_code
 from testbed.scenario import ScenarioError, load_middle_loop, load_scenario
-from testbed.sim import user_code
 from testbed.studies.golden_table import read_table as read_golden
 from testbed.studies.plan import load_study
 from testbed.studies.tune_schema import load_tune

@@ -12,8 +12,8 @@ import testbed
 from testbed.cli import check
 from testbed.core.errors import InputError, memory_shortage
 from testbed.logs import arrow_io, mcap_file
+from testbed.plan.user_code import _pickled
 from testbed.scenario import find_aircraft, load_scenario, set_duration
-from testbed.sim.user_code import _pickled
 from testbed.studies.flight_pool import FlightPool
 from testbed.studies.flight_task import FlightTask, run_task
 from testbed.studies.local_workers import LocalWorkers
@@ -108,7 +108,7 @@ def test_memory_of_a_law_is_compared_or_an_error():
 
 
 def test_flight_without_memory_is_no_result_of_a_study(monkeypatch):
-    monkeypatch.setattr("testbed.sim.run.run", greedy)
+    monkeypatch.setattr("testbed.runs.run.run", greedy)
     with pytest.raises(MemoryError):
         run_task(FlightTask(0, SHORT))
     future = Future()
@@ -142,7 +142,7 @@ def test_check_without_memory_is_one_error_line(tmp_path, monkeypatch):
 def test_report_of_check_without_memory_ends_it(tmp_path, monkeypatch):
     case = SimpleNamespace(source=tmp_path / "case.yaml", scenario=SHORT)
     monkeypatch.setattr("testbed.studies.golden_report.failing_seeds", lambda verdict: [1])
-    monkeypatch.setattr("testbed.sim.run.run", greedy)
+    monkeypatch.setattr("testbed.runs.run.run", greedy)
     with pytest.raises(MemoryError):
         check._write_reports([case], [SimpleNamespace(passed=False, name="x")], tmp_path, None)
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from run_flight import Collector, short
 
+from testbed.commands.tick_gate import TickGate
 from testbed.core.errors import ExternalProgramLost, InputError
 from testbed.core.records import FbwaCommand
-from testbed.sim.build import build
-from testbed.sim.external_options import ExternalOptions, check_links
-from testbed.sim.loop import fly
-from testbed.sim.run import run
-from testbed.sim.tick_gate import TickGate
+from testbed.flight.loop import fly
+from testbed.plan.world import build
+from testbed.runs.external_options import ExternalOptions, check_links
+from testbed.runs.run import run
 
 LOCKSTEP = "fleet.2.commanded_by={kind: external, lockstep: true, timeout_s: 0.3}"
 SECONDS = 4.0

@@ -7,12 +7,12 @@ import pytest
 from commands import call_command
 
 from testbed.scenario import load_scenario
-from testbed.sim import margins
-from testbed.sim.margins import FollowerMargins, Margins, independent_groups, worse_of
-from testbed.sim.steady_flight import Change, SteadyFlight
 from testbed.studies.flight_task import FlightTask, run_task
 from testbed.studies.tune_constraints import measurements
 from testbed.studies.tune_schema import Constraint
+from testbed.trials import margins
+from testbed.trials.margins import FollowerMargins, Margins, independent_groups, worse_of
+from testbed.trials.steady_flight import Change, SteadyFlight
 
 
 @pytest.fixture(scope="module")

@@ -8,12 +8,12 @@ from run_flight import Collector, short
 
 from testbed.core.geodetic import geodetic_from_ned
 from testbed.core.records import FbwaCommand
+from testbed.flight.loop import fly
 from testbed.mavlink.flight_import import read_flight
 from testbed.mavlink.vehicle_control import FlightMode
-from testbed.sim.build import build
-from testbed.sim.external_options import ExternalOptions
-from testbed.sim.loop import fly
-from testbed.sim.run import run
+from testbed.plan.world import build
+from testbed.runs.external_options import ExternalOptions
+from testbed.runs.run import run
 
 LEADER, FOLLOWER = 0, 2
 TOLERANCE_M = 0.6  # more than the change of a position in one control period

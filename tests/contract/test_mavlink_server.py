@@ -26,7 +26,7 @@ from testbed.mavlink.udp_endpoint import (
     parse_address,
 )
 from testbed.metrics.facts import describe_mavlink
-from testbed.sim.external_options import ExternalOptions, make_server
+from testbed.runs.external_options import ExternalOptions, make_server
 
 EPOCH_US = 1_795_000_000_000_000
 KEY = bytes(range(32))

@@ -14,7 +14,7 @@ from testbed.logs.run_directory import LOG_NAME, METRICS_NAME, SCENARIO_NAME
 from testbed.logs.run_list import delete_runs, list_runs
 from testbed.metrics.document import to_json
 from testbed.reports import figures
-from testbed.sim.recover import recover
+from testbed.runs.recover import recover
 
 COMMANDS = {
     "law": (("law", "--figures=out", "--format=svg"), "control-functions.svg"),

@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 
 from testbed.cli.main import app
 from testbed.core.errors import InputError
+from testbed.runs.run import run
 from testbed.scenario import load_scenario, set_duration
-from testbed.sim.run import run
 
 COLUMNS = ["source", "destination", "sequence", "sent_s", "received_s", "outcome", "copies"]
 LINKS = [

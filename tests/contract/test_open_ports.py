@@ -10,8 +10,8 @@ import pytest
 from commands import environment
 
 from testbed.mavlink.udp_endpoint import Endpoint, parse_address
+from testbed.runs.external_options import ExternalOptions, announcements
 from testbed.scenario import load_scenario
-from testbed.sim.external_options import ExternalOptions, announcements
 from testbed.studies.dask_workers import cluster_notices
 from testbed.views import LiveViewer, viewer
 

@@ -17,7 +17,10 @@ from testbed.core.records import Inbox, VehicleState
 from testbed.formation.barrier import SpeedBarrier, barrier_curve, logged_barriers, logged_curve
 from testbed.formation.control_step import Hbh23Law
 from testbed.logs.read import read_log
+from testbed.plan.control import build_control
 from testbed.plan.fleet import resolve
+from testbed.plan.user_code import check_law
+from testbed.plan.world import build, build_clock
 from testbed.reports import figures, read_run, run_page
 from testbed.reports.html import render_page
 from testbed.scenario import (
@@ -26,9 +29,6 @@ from testbed.scenario import (
     load_scenario,
     set_duration,
 )
-from testbed.sim.build import build, build_clock
-from testbed.sim.build_control import build_control
-from testbed.sim.user_code import check_law
 from testbed.studies.compare_runs import compare_runs
 from testbed.studies.flight_task import FlightTask, run_task
 from testbed.studies.plan import Plan, check_plan, load_study

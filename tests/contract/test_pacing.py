@@ -4,9 +4,9 @@ from types import SimpleNamespace
 
 import pytest
 
+from testbed.commands.tick_gate import RealTimePacer, TickGate
 from testbed.core.errors import InputError
-from testbed.sim.schedule import TickActions
-from testbed.sim.tick_gate import RealTimePacer, TickGate
+from testbed.flight.schedule import TickActions
 
 
 class Clock:
@@ -98,7 +98,7 @@ class SilentServer:
 @pytest.mark.parametrize("with_server", [False, True], ids=["no server", "server"])
 def test_stop_ends_wait_between_ticks(with_server, monkeypatch):
     clock = Clock()
-    monkeypatch.setattr("testbed.sim.tick_gate.time", SimpleNamespace(sleep=clock.idle))
+    monkeypatch.setattr("testbed.commands.tick_gate.time", SimpleNamespace(sleep=clock.idle))
     stop_at = clock.now + 0.25
     pacer = RealTimePacer(0.001, clock)
     server = SilentServer(clock) if with_server else None

@@ -13,6 +13,7 @@ import testbed
 from testbed.autopilot.parameters import read_params
 from testbed.cli.main import app
 from testbed.core.errors import InputError
+from testbed.plan.world import build
 from testbed.scenario import (
     ScenarioError,
     dump,
@@ -22,10 +23,9 @@ from testbed.scenario import (
     loads,
     set_duration,
 )
-from testbed.sim import speed_step as step_module
-from testbed.sim.build import build
-from testbed.sim.speed_step import speed_step
 from testbed.studies.sweep import sweep
+from testbed.trials import speed_step as step_module
+from testbed.trials.speed_step import speed_step
 from testbed.vehicle import replay_commands
 from testbed.vehicle.replay_commands import respond
 

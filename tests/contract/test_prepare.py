@@ -9,8 +9,8 @@ import pytest
 from waiting import TIMEOUT_S
 
 from testbed.guidance.mission_follower import guide
+from testbed.plan.world import build
 from testbed.scenario import library, load_scenario
-from testbed.sim.build import build
 
 ALL = os.environ.get("TESTBED_PREPARED") == "1"
 GOLDEN = sorted(path.stem for path in (library() / "scenarios" / "golden").glob("*.json"))
@@ -24,7 +24,7 @@ import sys
 from numba.core.dispatcher import Dispatcher
 from testbed.core.call_list import CalledByAddress
 from testbed.scenario import load_scenario, set_duration
-from testbed.sim import run as runs
+from testbed.runs import run as runs
 
 
 def signatures():

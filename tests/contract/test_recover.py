@@ -19,8 +19,8 @@ from testbed.logs.read import read_log, replay, samples
 from testbed.logs.recorder import McapRecorder
 from testbed.metrics import MetricsObserver
 from testbed.reports import figures
+from testbed.runs.recover import recover
 from testbed.scenario import load_scenario
-from testbed.sim.recover import recover
 
 MAGIC, CHUNK = 8, 6  # bytes of MCAP's magic, and the opcode of a chunk
 HEAD = struct.Struct("<BQ")  # of a record: opcode, and length of the rest
@@ -137,7 +137,7 @@ def test_killed_recover_leaves_nothing_to_clean_up(cut):
     run = cut(0.6)
     names, log = {each.name for each in run.iterdir()}, (run / "run.mcap").read_bytes()
     code = (
-        "import os, sys; from testbed.sim import recover as module;"
+        "import os, sys; from testbed.runs import recover as module;"
         "module._is_complete = lambda *logs: os.kill(os.getpid(), 9); module.recover(sys.argv[1])"
     )
     done = subprocess.run([sys.executable, "-c", code, run], env=environment(80), check=False)
@@ -181,7 +181,7 @@ def test_recover_failure_leaves_log_unchanged(fails, cut, monkeypatch):
 
         monkeypatch.setattr(os, "replace", full)
     if fails == "content":
-        monkeypatch.setattr("testbed.sim.recover._is_complete", lambda *logs: False)
+        monkeypatch.setattr("testbed.runs.recover._is_complete", lambda *logs: False)
     with pytest.raises(LogError, match=r"run\.mcap"):
         recover(run)
     assert log.read_bytes() == kept

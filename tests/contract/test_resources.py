@@ -11,9 +11,9 @@ from waiting import TIMEOUT_S
 import testbed
 from testbed.cli.main import app
 from testbed.core.errors import InputError
+from testbed.plan import resources
+from testbed.plan.world import build
 from testbed.scenario import load_scenario, set_duration
-from testbed.sim import resources
-from testbed.sim.build import build
 
 LONG = "scenario.duration_s=86400"
 VIRTUAL = "leader.path={kind: virtual, speed_mps: 22, curve: {kind: circle, radius_m: 500}}"
@@ -23,8 +23,8 @@ MEASURED = """
 import sys
 from pathlib import Path
 from testbed.scenario import load_scenario
-from testbed.sim.loop import fly
-from testbed.sim.build import build
+from testbed.flight.loop import fly
+from testbed.plan.world import build
 name, until, *changes = sys.argv[1:]
 fly(build(load_scenario(name, changes)), [], lambda now, due: now >= float(until))
 lines = Path("/proc/self/status").read_text().splitlines()

@@ -27,8 +27,8 @@ from result_tables import (
 from run_flight import Collector
 
 from testbed.core.frames import GRAVITY
+from testbed.runs.run import run
 from testbed.scenario import library, load_scenario, set_duration
-from testbed.sim.run import run
 
 ROOT = Path(__file__).parents[2]
 UAVS = ("uav1", "uav2", "uav3")

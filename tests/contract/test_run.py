@@ -28,14 +28,15 @@ from run_flight import (
 from waiting import TIMEOUT_S, until
 
 import testbed
+from testbed.flight import loop
 from testbed.formation.law import LimiterFlag
 from testbed.logs import mcap_file
 from testbed.logs.file_record import RECORD_NAME
 from testbed.logs.read import read_log, samples
+from testbed.plan.world import build
+from testbed.runs import stop_request
 from testbed.scenario import load_scenario
 from testbed.sensors.estimators import StateEstimators
-from testbed.sim import loop, stop_request
-from testbed.sim.build import build
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
@@ -309,7 +310,7 @@ def test_signals_within_a_second_are_one(tmp_path, number):
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_later_signal_ends_at_once_with_all_files(tmp_path, number, monkeypatch):
-    monkeypatch.setattr("testbed.sim.stop_request.GRACE_S", 0.0)
+    monkeypatch.setattr("testbed.runs.stop_request.GRACE_S", 0.0)
     stopper = Stopper(after=9, times=2, number=number)
     with pytest.raises(KeyboardInterrupt):
         testbed.run(short("log.mcap=true"), out=tmp_path / "run", observers=[stopper])
@@ -322,13 +323,13 @@ def test_later_signal_ends_at_once_with_all_files(tmp_path, number, monkeypatch)
         "metrics.observer.summarise",
         "logs.mcap_file.McapWriter.attachment",
         "logs.mcap_file.McapWriter.close",
-        "sim.run.finalise",
-        "sim.run.write_json",
+        "runs.run.finalise",
+        "runs.run.write_json",
     ],
 )
 def test_later_signal_does_not_interrupt_ending(tmp_path, monkeypatch, interrupted):
     """It raises KeyboardInterrupt after all files are written."""
-    monkeypatch.setattr("testbed.sim.stop_request.GRACE_S", 0.0)
+    monkeypatch.setattr("testbed.runs.stop_request.GRACE_S", 0.0)
     stopper = Stopper(after=9)
     original = pkgutil.resolve_name(f"testbed.{interrupted}")
     sent = []
@@ -347,7 +348,7 @@ def test_later_signal_does_not_interrupt_ending(tmp_path, monkeypatch, interrupt
 
 def test_later_signal_interrupts_end_of_an_observer(tmp_path, monkeypatch):
     """Only this one: it may hang."""
-    monkeypatch.setattr("testbed.sim.stop_request.GRACE_S", 0.0)
+    monkeypatch.setattr("testbed.runs.stop_request.GRACE_S", 0.0)
     stopper, after = Stopper(after=9, at_end=True), Collector()
     with pytest.raises(KeyboardInterrupt):
         testbed.run(short("log.mcap=true"), out=tmp_path / "run", observers=[after, stopper])

@@ -6,10 +6,10 @@ from typing import get_args
 import pytest
 
 from testbed.autopilot.parameters import AutopilotTiming, FbwaParams, make_gains
+from testbed.plan.world import build
 from testbed.scenario import ScenarioError, dump, load_scenario, loads, set_duration
 from testbed.scenario.faults import AnyFault
 from testbed.scenario.sensors import SENSOR_NAMES, TRUTH, Estimator, Sensors
-from testbed.sim.build import build
 
 FOLDER = Path(__file__).parents[1] / "data" / "scenarios"
 MINIMAL = (FOLDER / "minimal.yaml").read_text()

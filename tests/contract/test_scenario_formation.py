@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from testbed.flight.schedule import make_clock
 from testbed.formation import leader_filter as leader
 from testbed.formation.control_function import EXAMPLE_2, EXAMPLE_3, example_1
+from testbed.plan.control import build_control
 from testbed.plan.fleet import resolve
 from testbed.scenario import ScenarioError, load_middle_loop, load_scenario
-from testbed.sim.build_control import build_control
-from testbed.sim.schedule import make_clock
 
 FULL = Path(__file__).parents[1] / "data" / "scenarios" / "everything.yaml"
 HBH23 = ["controller.law=hbh23", "controller.options=null"]

@@ -9,10 +9,10 @@ import pytest
 import yaml
 
 import testbed
+from testbed.plan.world import build
 from testbed.scenario import ScenarioError, dump, json_schema, load_scenario, loads
 from testbed.scenario.aircraft import AircraftSection
 from testbed.scenario.pattern import Pattern
-from testbed.sim.build import build
 
 FOLDER = Path(__file__).parents[1] / "data" / "scenarios"
 PATTERN = FOLDER / "pattern.yaml"

@@ -16,6 +16,7 @@ import pytest
 import yaml
 
 from testbed.core.numbers import SMALLEST
+from testbed.plan.world import build
 from testbed.scenario import (
     Scenario,
     ScenarioError,
@@ -34,7 +35,6 @@ from testbed.scenario.problems import FilePosition
 from testbed.scenario.unusual import unusual_numbers
 from testbed.scenario.validate import _at, validate
 from testbed.scenario.yaml_io import plant, to_inline
-from testbed.sim.build import build
 from testbed.studies.study_schema import StudyConfig
 from testbed.studies.tune_schema import TuneConfig
 

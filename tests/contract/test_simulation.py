@@ -18,8 +18,8 @@ from testbed.core.records import FbwaCommand
 from testbed.core.samples import copy_sample
 from testbed.logs.read import read_log
 from testbed.logs.run_directory import LOG_NAME, SCENARIO_NAME
+from testbed.runs.recover import recover
 from testbed.scenario import find_aircraft, load_scenario, set_duration
-from testbed.sim.recover import recover
 from testbed.vehicle import replay_commands
 from testbed.vehicle.replay_commands import respond
 

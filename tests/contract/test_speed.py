@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from testbed.plan.world import build
 from testbed.scenario import load_scenario, set_duration
-from testbed.sim.build import build
 
 ROOT = Path(__file__).parents[2]
 

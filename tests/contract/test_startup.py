@@ -37,7 +37,7 @@ def test_run_loads_only_the_libraries_it_uses(tmp_path):
     # fill the cache of compiled code
     testbed.run(set_duration(load_scenario("simulation-3"), 0.2), out=tmp_path / "run")
     loaded = loaded_by(code, tmp_path)
-    assert {"testbed.sim.loop", "numba", "jsbsim", "foxglove"} <= loaded
+    assert {"testbed.flight.loop", "numba", "jsbsim", "foxglove"} <= loaded
     unused = {
         "scipy.integrate",
         "scipy.optimize",

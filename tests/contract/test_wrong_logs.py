@@ -15,7 +15,7 @@ from testbed.logs.mcap_file import LogError
 from testbed.logs.read import read_log
 from testbed.metrics import MetricsObserver
 from testbed.reports import read_run, run_page
-from testbed.sim.recover import recover
+from testbed.runs.recover import recover
 from testbed.studies.compare_runs import compare_runs
 
 DEEP = "[" * 200_000

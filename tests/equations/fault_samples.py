@@ -3,7 +3,7 @@
 import numpy as np
 
 from testbed.core.records import VehicleState
-from testbed.sim.faults import FaultManager
+from testbed.flight.faults import FaultManager
 
 NAMES = ["leader", "uav1", "uav2", "uav3"]
 NONE_LOST = np.zeros(4, dtype=bool)

@@ -8,7 +8,7 @@ import pytest
 
 from testbed.core.errors import InputError
 from testbed.core.records import ActuatorCommand
-from testbed.sim.faults import no_faults
+from testbed.flight.faults import no_faults
 from testbed.vehicle.control_surfaces import (
     SURFACES,
     ControlGeometry,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from testbed.core.errors import InputError
-from testbed.sim.schedule import PHASE_HZ, make_clock
+from testbed.flight.schedule import PHASE_HZ, make_clock
 
 RATES = {"physics_hz": 200, "autopilot_hz": 50, "control_hz": 25, "broadcast_hz": 25, "log_hz": 10}
 # Rates that divide one another, rates that do not, and equal rates.

@@ -5,9 +5,10 @@ import pytest
 
 import testbed
 from testbed.core.records import AIRCRAFT, allocate
+from testbed.flight.companion import Companions
+from testbed.flight.schedule import make_clock
+from testbed.plan.control import build_companions
 from testbed.scenario import load_scenario, loads, set_duration
-from testbed.sim.companion import Companions, build_companions
-from testbed.sim.schedule import make_clock
 
 SPEED = 22.0
 ROWS = np.array([0, 1], dtype=np.intp)

@@ -17,9 +17,9 @@ from testbed.core.records import (
     allocate,
     write_fields,
 )
+from testbed.flight.control import Control, ControlGroup, validate_command
 from testbed.formation.control_step import initial_controllers, make_neighbours
 from testbed.formation.law import FormationConfig, Saturation
-from testbed.sim.control import Control, ControlGroup, validate_command
 
 NAMES = ("uav1", "uav2", "uav3", "uav4", "uav5")
 

@@ -8,7 +8,7 @@ import pytest
 
 from testbed.core.random import named_stream
 from testbed.core.records import AIRCRAFT, FOLLOWER, allocate
-from testbed.sim.limits import RECOVERED, EnvelopeMonitor, find_exceeded
+from testbed.flight.limits import RECOVERED, EnvelopeMonitor, find_exceeded
 
 DT = 0.04
 NAMES = ("leader", "uav1", "uav2")

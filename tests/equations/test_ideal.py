@@ -13,7 +13,7 @@ from reference.unicycle import Unicycle, unicycle
 from testbed.core.errors import InputError
 from testbed.core.frames import GRAVITY, body_rates, euler_rates, flight_path_angle, wrap_pi
 from testbed.core.records import AIRCRAFT, FOLLOWER, VehicleState, allocate, fields_of
-from testbed.sim.vehicles import UnicycleVehicles
+from testbed.flight.vehicles import UnicycleVehicles
 from testbed.vehicle.unicycle import are_finite, make_unicycles, stop_unicycles
 
 RATE = 200

@@ -6,10 +6,16 @@ import numpy as np
 import pytest
 
 from testbed.core.records import FOLLOWER, LINK, allocate
+from testbed.flight.monitors import (
+    LEADER_WATCH,
+    LINK_WATCH,
+    LinkMonitor,
+    check_leaders,
+    check_links,
+)
 from testbed.formation.hbh23 import NEIGHBOUR
 from testbed.formation.law import LimiterFlag
 from testbed.network.link_statistics import initial_statistics
-from testbed.sim.monitors import LEADER_WATCH, LINK_WATCH, LinkMonitor, check_leaders, check_links
 
 NAMES = ("leader", "uav1", "uav2", "uav3")
 LEADER_TIMEOUT = int(LimiterFlag.LEADER_TIMEOUT)

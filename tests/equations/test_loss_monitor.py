@@ -3,9 +3,9 @@
 import numpy as np
 from fault_samples import NAMES, NONE_LOST, fault_manager, step
 
+from testbed.flight.limits import ProximityMonitor
+from testbed.flight.monitors import LossMonitor
 from testbed.scenario.faults import EngineOut
-from testbed.sim.limits import ProximityMonitor
-from testbed.sim.monitors import LossMonitor
 
 FAR = np.array([[100.0 * i, 0.0, -100.0] for i in range(4)])
 

@@ -4,10 +4,10 @@ import numpy as np
 from fault_samples import NAMES, fault_manager, step
 
 from testbed.core.records import Inbox, allocate
+from testbed.flight.faults import FaultManager
+from testbed.flight.membership import FormationMembership
 from testbed.formation.hbh23 import NEIGHBOUR
 from testbed.scenario.faults import EngineOut
-from testbed.sim.faults import FaultManager
-from testbed.sim.membership import FormationMembership
 
 OFFSETS = np.array([[0.0, 0, 0], [-5, 5, 0], [-10, -5, 0], [-15, 5, 0]])
 # a chain: each follower uses the leader and the follower before it; all gains differ

@@ -7,6 +7,7 @@ import pytest
 
 from testbed.core.geodetic import geodetic_from_ned
 from testbed.core.records import NedOrigin
+from testbed.flight.leader_control import MissionController
 from testbed.guidance.flight_plan import (
     GuidanceMission,
     LoiterLeg,
@@ -22,9 +23,8 @@ from testbed.mavlink.mission_plans import (
     plan_from_items,
 )
 from testbed.mavlink.vehicle_control import MissionItem, Rejection
+from testbed.plan.world import build
 from testbed.scenario import list_scenarios, load_scenario
-from testbed.sim.build import build
-from testbed.sim.leader_control import MissionController
 
 ORIGIN = NedOrigin(latitude_deg=-35.36, longitude_deg=149.16, elevation_m=584.0)
 PARAMS = GuidanceMission(legs=(), airspeed=22.0)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from testbed.core.records import AIRCRAFT, FOLLOWER, allocate
-from testbed.sim.monitors import JOIN, GustMonitor, JoinMonitor, find_joined
+from testbed.flight.monitors import JOIN, GustMonitor, JoinMonitor, find_joined
 
 RATE_HZ = 200
 

@@ -18,7 +18,7 @@ from testbed.network.link_statistics import (
 )
 from testbed.network.links import PacketOutcome
 from testbed.scenario import load_scenario
-from testbed.sim.channel_probe import probe_channel
+from testbed.trials.channel_probe import probe_channel
 
 NAMES = ("leader", "uav1", "uav2")
 PACKETS = int(os.environ.get("TESTBED_PACKETS", "2000"))

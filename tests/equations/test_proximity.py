@@ -8,8 +8,8 @@ import pytest
 
 from testbed.core.random import named_stream
 from testbed.core.records import AIRCRAFT, allocate
-from testbed.sim.limits import ProximityMonitor
-from testbed.sim.steps import find_losses
+from testbed.flight.limits import ProximityMonitor
+from testbed.flight.steps import find_losses
 
 DT = 0.04
 NONE_LOST = np.zeros(2, dtype=bool)

@@ -8,8 +8,8 @@ import pytest
 import testbed
 from testbed.core.errors import InputError
 from testbed.core.speed_model import make_own, speed_model_records
+from testbed.plan.world import build
 from testbed.scenario import load_scenario, set_duration
-from testbed.sim.build import build
 from testbed.vehicle.unicycle import advance, make_unicycles
 
 LOW, HIGH = 16.0, 30.0

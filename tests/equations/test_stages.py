@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from testbed.core.records import AIRCRAFT, FOLLOWER, MESSAGE, allocate
+from testbed.flight.steps import write_messages
 from testbed.formation.slots import write_formation_state
-from testbed.sim.steps import write_messages
 
 OFFSETS = np.array([[0.0, 0.0, 0.0], [-5.0, 5.0, 0.0], [-5.0, -5.0, 4.0]])
 NO_ALTITUDES = np.array([np.nan, np.nan])

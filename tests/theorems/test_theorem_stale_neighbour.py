@@ -18,9 +18,9 @@ from reference.unicycle import unicycle
 from testbed.core.records import Inbox, VehicleState
 from testbed.formation import leader_filter as leading
 from testbed.formation.control_step import Hbh23Law
+from testbed.plan.control import build_control
 from testbed.plan.fleet import resolve
 from testbed.scenario import load_scenario
-from testbed.sim.build_control import build_control
 
 HZ, TICKS = 25, 8
 MUTE = (20.0, 50.0)  # s; six radians of the turn

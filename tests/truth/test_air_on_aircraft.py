@@ -10,13 +10,13 @@ from aircraft_copies import changed
 
 from testbed.core.records import NedOrigin, WindInput
 from testbed.core.standard_atmosphere import density_ratio
-from testbed.plan.fleet import resolve
-from testbed.scenario import find_aircraft, load_scenario, set_duration
-from testbed.sim.build import build
-from testbed.sim.build_air import (
+from testbed.plan.air import (
     temperature_offset,
     temperature_warnings,
 )
+from testbed.plan.fleet import resolve
+from testbed.plan.world import build
+from testbed.scenario import find_aircraft, load_scenario, set_duration
 from testbed.vehicle.environment import INTEGRATORS, JSBSIM_DEFAULT_INTEGRATORS
 from testbed.vehicle.fleet import JsbsimFleet
 from testbed.vehicle.jsbsim_adapter import airframe, trim_aircraft

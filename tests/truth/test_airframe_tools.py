@@ -20,7 +20,7 @@ from testbed.core.errors import InputError
 from testbed.core.frames import FOOT, GRAVITY
 from testbed.core.records import ActuatorCommand, NedOrigin, WindInput
 from testbed.scenario import load_middle_loop
-from testbed.sim.speed_step import speed_step
+from testbed.trials.speed_step import speed_step
 from testbed.vehicle import fleet as fleet_module
 from testbed.vehicle.fleet import JsbsimFleet
 from testbed.vehicle.jsbsim_adapter import (

@@ -26,8 +26,8 @@ from testbed.core.records import (
     fields_of,
     write_fields,
 )
-from testbed.sim.faults import no_faults
-from testbed.sim.vehicles import JsbsimVehicles, UnicycleVehicles
+from testbed.flight.faults import no_faults
+from testbed.flight.vehicles import JsbsimVehicles, UnicycleVehicles
 from testbed.vehicle import control_surfaces
 from testbed.vehicle.control_surfaces import SURFACES
 from testbed.vehicle.fleet import JsbsimFleet

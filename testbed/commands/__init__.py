@@ -1,0 +1,1 @@
+"""Programs that command aircraft: sessions, navigation, the gate of ticks."""

@@ -1,0 +1,135 @@
+"""Commands from external programs to the aircraft of a run, and the building of their sessions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from testbed.commands.autopilot_session import AutopilotSession
+from testbed.core.records import BoolArray, Event, Records, VehicleState
+from testbed.flight.vehicles import LeaderInput, Steps
+from testbed.mavlink.vehicle_control import VehicleControl
+
+
+class ExternalControl:
+    """Apply external commands to the aircraft; also the controller of a commandable leader.
+
+    Attributes:
+        vehicles: of N aircraft, leader first.
+    """
+
+    def __init__(self, vehicles: Sequence[VehicleControl]) -> None:
+        """Start with every aircraft under the scenario's own control."""
+        self.vehicles = tuple(vehicles)
+        self._sessions = [
+            (row, each) for row, each in enumerate(vehicles) if isinstance(each, AutopilotSession)
+        ]
+        self._lockstep = [session for _, session in self._sessions if session.lockstep]
+        self._events: list[Event] = []
+        self.input: LeaderInput = np.zeros(1), np.zeros(3)
+
+    @property
+    def commands_leader(self) -> bool:
+        """Whether the leader has a session, which then serves as its `LeaderController`."""
+        return bool(self._sessions) and self._sessions[0][0] == 0
+
+    @property
+    def waiting(self) -> list[str]:
+        """Names of the aircraft that lockstep waits for a command of."""
+        return [session.name for session in self._lockstep if session.waiting]
+
+    @property
+    def timeout_s(self) -> float:
+        """How long lockstep waits, s of wall-clock time."""
+        return min((session.timeout_s for session in self._lockstep), default=math.inf)
+
+    def guide(
+        self, now: float, estimate: VehicleState, lost: BoolArray, frozen: BoolArray | None
+    ) -> None:
+        """Step the guidance of all sessions; each control period of the leader, before control.
+
+        Args:
+            now: s
+            estimate: of N aircraft.
+            lost: (N,) aircraft that crashed or broke.
+            frozen: (N,) aircraft whose autopilot is frozen; None: none.
+        """
+        for row, session in self._sessions:
+            session.lost = bool(lost[row])
+            session.frozen = frozen is not None and bool(frozen[row])
+            if not session.lost:
+                session.guide(now, estimate)
+
+    def steps(self, aircraft: Records) -> Steps:
+        """Return the step that writes the leader's command; see `LeaderController`."""
+        _, leader = self._sessions[0]
+
+        def write(now: float) -> None:
+            command = leader.command
+            assert command is not None  # only a follower's session may leave it to the law
+            aircraft["control"][0] = command
+
+        return (write,)
+
+    def override_commands(self, aircraft: Records) -> None:
+        """Write `command` of the aircraft that their sessions control."""
+        for row, session in self._sessions:
+            if session.command is not None:
+                aircraft["command"][row] = session.command
+
+    def mask_diagnostics(self, followers: Records) -> Records:
+        """Clear the limiter flags and saturations of followers that the law does not control.
+
+        Args:
+            followers: (n,) of FOLLOWER.
+
+        Returns:
+            The same, or a copy where any is cleared.
+        """
+        rows = self._commanded_followers()
+        if not rows:
+            return followers
+        masked = followers.copy()
+        masked["limiter_flags"][rows] = masked["saturations"][rows] = 0
+        return masked
+
+    def left_formation(self, left: BoolArray) -> BoolArray:
+        """Mark followers that the law does not control as having left the formation, (n,)."""
+        rows = self._commanded_followers()
+        if not rows:
+            return left
+        out = left.copy()
+        out[rows] = True
+        return out
+
+    def _commanded_followers(self) -> list[int]:
+        """Rows, among n followers, of those that a session controls."""
+        return [row - 1 for row, each in self._sessions if row and each.command is not None]
+
+    def command_counts(self) -> Mapping[str, Mapping[str, int]]:
+        """Count the executed external requests, by aircraft and kind; for the metrics."""
+        return {
+            session.name: dict(session.command_counts)
+            for _, session in self._sessions
+            if session.command_counts
+        }
+
+    def pop_events(self) -> list[Event]:
+        """Return the events since the last call."""
+        events = [
+            *self._events,
+            *(event for _, session in self._sessions for event in session.pop_events()),
+        ]
+        self._events = []
+        return events
+
+    def add_events(self, events: Sequence[Event]) -> None:
+        """Add events to those that `pop_events` returns next."""
+        self._events += events
+
+    def expect_commands(self, now: float) -> None:
+        """Wait, in lockstep, for a command in reply to the sample of this time, s."""
+        for session in self._lockstep:
+            session.expect_command(now)

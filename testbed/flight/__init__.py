@@ -1,0 +1,1 @@
+"""The flight: records, stages and the loop that runs them."""

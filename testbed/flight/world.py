@@ -1,0 +1,196 @@
+"""The world of a flight: the records of a run, and the objects that step them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+from testbed.atmosphere.air import Atmosphere
+from testbed.core.compile import Arguments
+from testbed.core.records import (
+    Array,
+    BoolArray,
+    Event,
+    Records,
+    RunInfo,
+    VehicleState,
+)
+from testbed.flight.arduplane_vehicles import ArduPlaneVehicles
+from testbed.flight.companion import Companions
+from testbed.flight.control import Control, ControlGroup
+from testbed.flight.faults import FaultManager
+from testbed.flight.leader_control import LeaderController
+from testbed.flight.limits import (
+    EnvelopeMonitor,
+    ProximityMonitor,
+)
+from testbed.flight.schedule import Clock
+from testbed.flight.vehicles import LeaderInput, ScriptedVehicle, Steps, Vehicles
+from testbed.formation import barrier
+from testbed.formation.barrier import sample_barrier
+from testbed.formation.law import FormationConfig
+from testbed.mavlink.vehicle_control import VehicleControl
+from testbed.network.outages import Outages
+from testbed.network.radio import Radio
+from testbed.sensors.estimators import StateEstimators
+from testbed.vehicle.fleet import JsbsimFleet
+from testbed.vehicle.trim import (
+    InitialState,
+)
+
+
+class ExternalCommands(Protocol):
+    """Commands from outside to aircraft of a flight; also the controller of a commandable leader.
+
+    Attributes:
+        vehicles: of N aircraft, leader first.
+        input: see `LeaderController`.
+        commands_leader: whether it controls the leader.
+        waiting: names of the aircraft that lockstep waits for a command of.
+        timeout_s: how long lockstep waits, s of wall-clock time.
+    """
+
+    vehicles: tuple[VehicleControl, ...]
+    input: LeaderInput
+
+    @property
+    def commands_leader(self) -> bool:
+        """See the class."""
+        ...
+
+    @property
+    def waiting(self) -> list[str]:
+        """See the class."""
+        ...
+
+    @property
+    def timeout_s(self) -> float:
+        """See the class."""
+        ...
+
+    def steps(self, aircraft: Records) -> Steps:
+        """See `LeaderController`."""
+        ...
+
+    def guide(
+        self, now: float, estimate: VehicleState, lost: BoolArray, frozen: BoolArray | None
+    ) -> None:
+        """Step the guidance of all sessions; each control period of the leader, before control."""
+        ...
+
+    def override_commands(self, aircraft: Records) -> None:
+        """Write `command` of the aircraft that it controls."""
+        ...
+
+    def mask_diagnostics(self, followers: Records) -> Records:
+        """Return followers without flags of those that it controls."""
+        ...
+
+    def left_formation(self, left: BoolArray) -> BoolArray:
+        """Return which followers (n,) have no slot, those that it controls included."""
+        ...
+
+    def command_counts(self) -> Mapping[str, Mapping[str, int]]:
+        """Return counts of executed requests by aircraft and kind."""
+        ...
+
+    def pop_events(self) -> list[Event]:
+        """Return the events since the last call."""
+        ...
+
+    def add_events(self, events: Sequence[Event]) -> None:
+        """Add events to those that `pop_events` returns next."""
+        ...
+
+    def expect_commands(self, now: float) -> None:
+        """Wait, in lockstep, for a command in reply to the sample of this time, s."""
+        ...
+
+
+class SpeedLimits(NamedTuple):
+    """Limits of a leader's motion on a mission."""
+
+    speed_min: float  # m/s over the ground
+    speed_max: float  # m/s
+    turn_rate: float  # rad/s, the largest
+    gamma: float  # rad, the largest
+
+
+@dataclass(frozen=True, slots=True)
+class LeaderSetup:
+    """A leader before the flight."""
+
+    controller: LeaderController
+    vehicle: ScriptedVehicle | None  # the leader, where it follows a recording or a formula
+    start: InitialState
+    velocity_ned: tuple[float, float, float]  # m/s over the ground, at the start
+    path_ned: Array  # (k, 3) m, for drawing
+    # velocity (m/s) and acceleration (m/s²), (T, 3) each, in blocks; None: not known in advance
+    motion: tuple[tuple[Array, Array], ...] | None
+    limits: SpeedLimits | None  # of its motion over the ground, where that is not known
+    limits_in_air: SpeedLimits | None  # the same through the air
+
+
+@dataclass(frozen=True)
+class BuiltControl:
+    """The control of n followers, before the first step."""
+
+    config: FormationConfig  # of all followers
+    groups: tuple[ControlGroup, ...]
+    controllers: Records  # (n,) of CONTROLLER
+    neighbours: Records  # (n, N) of NEIGHBOUR
+    builtin: bool  # the law is that of [HBH23]
+    hold_stale_neighbours: bool
+    messages: tuple[str, ...]  # about a user's code
+
+    @property
+    def barriers(self) -> tuple[tuple[int, float], ...]:
+        """Example and ν of each follower's barrier, 0 for a user's; empty for a user's law."""
+        records = self.controllers["law"]["barrier"]
+        pairs = zip(records["example"].tolist(), records["nu"].tolist(), strict=True)
+        return tuple(pairs) if self.builtin else ()
+
+    @property
+    def barrier_samples(self) -> tuple[tuple[float, ...], ...]:
+        """Samples of each follower's barrier if it is a user's; empty if none is."""
+        if not self.builtin:
+            return ()
+        bounds = (self.config.speed_min.tolist(), self.config.speed_max.tolist())
+        each = barrier.barriers_of(self.controllers["law"]["barrier"])
+        samples = tuple(sample_barrier(*one) for one in zip(each, *bounds, strict=True))
+        return samples if any(samples) else ()
+
+
+@dataclass(frozen=True, slots=True)
+class World:
+    """The records of a run, and the objects that step them."""
+
+    clock: Clock
+    duration_s: float
+    names: tuple[str, ...]
+    aircraft: Records  # (N,) of AIRCRAFT
+    followers: Records  # (n,) of FOLLOWER
+    links: Records  # (n, N) of LINK
+    air: Atmosphere | None  # None: it is steady
+    gusts: tuple[str, ...]  # names of its discrete gusts
+    vehicles: tuple[Vehicles, ...]
+    scripted_leader: bool  # it follows a recording or a formula
+    external_processes: tuple[ArduPlaneVehicles, ...]
+    fleet: JsbsimFleet | None  # the JSBSim models, if there are any
+    estimators: StateEstimators
+    faults: FaultManager | None  # None: the scenario has none
+    proximity: ProximityMonitor
+    envelope: EnvelopeMonitor
+    fly_on: bool  # the run continues without lost aircraft
+    leader_controller: LeaderController
+    external_control: ExternalCommands | None  # None: no external commands
+    built_control: BuiltControl  # what `control` steps
+    control: Control
+    companions: Companions | None  # None: controllers have no latency
+    radio: Radio
+    outages: Outages
+    altitudes: Array  # (n,) m, of followers that hold an altitude; NaN for the others
+    initial_events: tuple[Event, ...]  # from before the flight
+    info: RunInfo
+    entries: tuple[Arguments, ...]  # that step them

@@ -1,0 +1,389 @@
+"""Build formation laws and middle loops from a scenario."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from operator import attrgetter
+from typing import Any
+
+import numpy as np
+
+from testbed.core.errors import InputError
+from testbed.core.frames import PAPER_GRAVITY
+from testbed.core.records import Array, FbwaCommand, Records, allocate
+from testbed.core.speed_model import OwnSpeedModel, speed_model_records
+from testbed.core.speed_model import make_own as make_speed_model
+from testbed.flight.companion import Companions
+from testbed.flight.control import ControlGroup
+from testbed.flight.schedule import Clock
+from testbed.flight.world import BuiltControl
+from testbed.formation import barrier, control_function
+from testbed.formation import leader_filter as leader
+from testbed.formation.assumptions import SpeedSet, check_barrier, margin
+from testbed.formation.barrier import SpeedBarrier, UserBarrier
+from testbed.formation.control_function import ControlFunction, UserControlFunction
+from testbed.formation.control_step import Hbh23Law, initial_controllers, make_neighbours
+from testbed.formation.hbh23 import LAW
+from testbed.formation.law import FormationConfig, Law
+from testbed.formation.middle_loop import LOOP
+from testbed.plan.fleet import AgentParameters, Fleet, PlannedFollower
+from testbed.plan.user_code import build_function, build_law, check_law
+from testbed.scenario import MiddleLoopGains as Profile
+from testbed.scenario.control import Companion, Controller
+
+_ACCELERATION_SOURCES = {
+    "none": leader.NOTHING,
+    "broadcast": leader.BROADCAST,
+    "coordinated_turn": leader.TURN,
+}
+_ANGULAR_ACCELERATION_SOURCES = {
+    "none": leader.NOTHING,
+    "roll_rate": leader.ROLL_RATE,
+    "difference": leader.DIFFERENCE,
+}
+
+
+def build_control(fleet: Fleet, controller: Controller, clock: Clock) -> BuiltControl:
+    """Build the control of the followers of a fleet."""
+    config = build_config(fleet, controller, dt=clock.control / clock.base_rate_hz)
+    law, messages = build_law_records(fleet.followers, controller, config)
+    loops = build_loops(fleet.followers, controller, config)
+    builtin = controller.law == "hbh23"
+    hold = builtin and controller.on_neighbour_timeout == "hold-relative-position"
+    timeout_s = math.inf if hold else config.neighbour_timeout_s
+    neighbours = make_neighbours(config.offsets, config.gains, config.leader_timeout_s, timeout_s)
+    controllers = initial_controllers(law, loops, [each.is_ideal for each in fleet.followers])
+    groups = []
+    for rows in clock.groups:
+        members, user_law = select_followers(config, rows), None
+        if not builtin:
+            indices = list(rows)
+            hbh23 = Hbh23Law(law[indices], neighbours[indices])
+            user_law, origin = build_law(
+                controller.law, controller.options, replace(members, hbh23=hbh23)
+            )
+            _check_user_law(fleet.followers, members, user_law)
+            messages.append(f"the law {type(user_law).__name__} runs {origin}")
+        groups.append(ControlGroup(np.array(rows, dtype=np.intp), members, user_law))
+    return BuiltControl(
+        config,
+        tuple(groups),
+        controllers,
+        neighbours,
+        builtin,
+        hold,
+        tuple(dict.fromkeys(messages)),
+    )
+
+
+def _check_user_law(
+    followers: Sequence[PlannedFollower], config: FormationConfig, law: Law
+) -> None:
+    """Check a user's law, and that its vehicles accept its type of command."""
+    command = check_law(law, config)
+    unicycles = [each.name for each in followers if each.is_ideal]
+    unable = [name for name in config.names if name in unicycles]
+    if command is FbwaCommand and unable:
+        raise InputError(
+            f"controller.law: {type(law).__name__} commands fly-by-wire A, which a unicycle "
+            f"cannot fly (write vehicle: jsbsim for {', '.join(unable)}, or return a "
+            "UnicycleCommand)"
+        )
+
+
+def build_law_records(
+    followers: Sequence[PlannedFollower], controller: Controller, config: FormationConfig
+) -> tuple[Records, list[str]]:
+    """Return the laws (n,) of LAW of followers, and messages about functions of the user's.
+
+    Raises:
+        InputError: a function of the user's violates (C1), (C2) or (B1) to (B5).
+    """
+    names, agents = config.names, [each.agent for each in followers]
+    law = allocate(LAW, len(names))
+    chosen = [controller.estimators.over(each.gains.estimators) for each in followers]
+    loiters = controller.on_leader_timeout == "loiter"
+    tangent = math.tan(math.radians(controller.loiter_bank_deg)) if loiters else 0.0
+    law["row"], law["speed_pole"] = config.agents, config.speed_pole
+    for key in ("k", "a", "b"):
+        law[key] = [getattr(each, key) for each in agents]
+    law["c"] = [each.c.constant for each in agents]
+    law["c_speed"] = [each.c.per_speed_squared for each in agents]
+    messages: list[str] = []
+    functions = [make_control_function(each.control_function, messages) for each in agents]
+    law["mu"] = control_function.control_function_records(*functions)
+    speed_set = _speed_set(agents, config, law["k"], functions)
+    for field, speeds in speed_set._asdict().items():
+        law[f"speed_{field}"] = speeds
+    barriers = [
+        make_barrier(each.barrier, low, high, messages)
+        for each, low, high in zip(agents, config.speed_min, config.speed_max, strict=True)
+    ]
+    law["barrier"] = barrier.barrier_records(*barriers)
+    for found in check_barrier(barriers, speed_set):
+        if isinstance(barriers[found.agent], UserBarrier):
+            raise InputError(f"formation.barrier: of {names[found.agent]}, {found.text}")
+    law["speed_model"] = speed_model_records(
+        *(own_speed_model(each, controller, messages) for each in followers)
+    )
+    law["horizontal"] = ~np.isnan([each.altitude for each in followers])
+    law["bounds_of_airspeed"] = controller.bounded_speed == "airspeed"
+    law["from_timestamp"] = controller.extrapolate_from == "timestamp"
+    law["with_acceleration"] = [each.extrapolation == "acceleration" for each in chosen]
+    law["acceleration_source"] = [
+        _ACCELERATION_SOURCES[each.leader_acceleration] for each in chosen
+    ]
+    law["acceleration_blend"] = [each.leader_acceleration_blend for each in chosen]
+    law["difference_blend"] = [each.leader_difference_blend for each in chosen]
+    law["angular_acceleration_source"] = [
+        _ANGULAR_ACCELERATION_SOURCES[each.leader_angular_acceleration] for each in chosen
+    ]
+    law["turn_rate_blend"] = [each.leader_turn_rate_blend for each in chosen]
+    law["leader_timeout_s"] = config.leader_timeout_s
+    law["neighbour_timeout_s"] = config.neighbour_timeout_s
+    law["hold_stale_neighbours"] = controller.on_neighbour_timeout == "hold-relative-position"
+    law["lost_leader_airspeed"] = config.trim_airspeed
+    law["lost_leader_turn_rate"] = PAPER_GRAVITY * tangent / config.trim_airspeed
+    return law, messages
+
+
+def own_speed_model(
+    follower: PlannedFollower, controller: Controller, messages: list[str] | None = None
+) -> OwnSpeedModel | None:
+    """Return f and g of (2) for one follower, and add messages about them; None: −p s and p.
+
+    Raises:
+        InputError: g is zero somewhere, or a derivative is not continuous; or the follower has a
+            flight model, whose middle loop takes u as a speed, or a user's law.
+    """
+    chosen, name = follower.agent.speed_model, follower.name
+    if chosen is None:
+        return None
+    own = "speed_model" in follower.agent.own_keys
+    key = f"formation.agents.{name}.speed_model" if own else "formation.speed_model"
+    if not follower.is_ideal:
+        raise InputError(
+            f"{key}: {name} has a flight model, and the throttle loop (21) takes u as a speed "
+            f"(write vehicle: unicycle for {name}, or speed_pole_per_s)"
+        )
+    if controller.law != "hbh23":
+        raise InputError(
+            f"{key}: a law of your own commands speeds, which vehicles with other f and g do not "
+            "take (write law: hbh23, or speed_pole_per_s)"
+        )
+    (f, of_f), (g, of_g) = (
+        build_function(getattr(chosen, each), f"{key}.{each}") for each in ("f", "g")
+    )
+    if messages is not None:
+        messages += [f"f of the speed model runs {of_f}", f"g of the speed model runs {of_g}"]
+    try:
+        return make_speed_model(f, g, *follower.agent.speed_mps)
+    except ValueError as error:
+        raise InputError(f"{key}: {error}") from error
+
+
+def make_control_function(
+    chosen: Any,  # noqa: ANN401 - a union
+    messages: list[str],
+) -> ControlFunction | UserControlFunction:
+    """Return μ of a `control_function` section, and add a message about a function of the user's.
+
+    Raises:
+        InputError: (C1) or (C2) fails.
+    """
+    if chosen.example == "own":
+        key = "formation.control_function"
+        function, origin = build_function(chosen.function, key)
+        messages.append(f"the control function runs {origin}")
+        try:
+            return control_function.make_own(function)
+        except ValueError as error:
+            raise InputError(f"{key}: {error}") from error
+    if chosen.example == 1:
+        return control_function.example_1(chosen.nu1, chosen.nu2, chosen.m)
+    return control_function.EXAMPLE_2 if chosen.example == 2 else control_function.EXAMPLE_3
+
+
+def make_barrier(
+    chosen: Any,  # noqa: ANN401 - a union
+    speed_min: float,
+    speed_max: float,
+    messages: list[str],
+) -> SpeedBarrier | UserBarrier:
+    """Return h of a `barrier` section for speed bounds, m/s; see `make_control_function`.
+
+    Raises:
+        InputError: the function has no continuous derivative.
+    """
+    if chosen.example == "own":
+        key = "formation.barrier"
+        function, origin = build_function(chosen.function, key)
+        messages.append(f"the barrier runs {origin}")
+        try:
+            return barrier.make_own(
+                lambda s: function(s, speed_min, speed_max), speed_min, speed_max
+            )
+        except ValueError as error:
+            raise InputError(f"{key}: {error}") from error
+    return SpeedBarrier(chosen.example, 0.0 if chosen.example == 7 else chosen.nu)
+
+
+def _speed_set(
+    agents: Sequence[AgentParameters],
+    config: FormationConfig,
+    k: Array,
+    functions: Sequence[ControlFunction | UserControlFunction],
+) -> SpeedSet:
+    """Return S and S_d, by fact 1 where the scenario does not give S_d."""
+    low, high = config.speed_min, config.speed_max
+    kappa = np.array([each.kappa_mps for each in agents])
+    epsilon = margin(k, kappa, np.array([each.bound for each in functions]))
+    desired_low, desired_high = low + epsilon, high - epsilon
+    for i, each in enumerate(agents):
+        if each.speed_desired_mps is not None:
+            desired_low[i], desired_high[i] = each.speed_desired_mps
+    return SpeedSet(low, high, desired_low, desired_high)
+
+
+_OF_FOLLOWERS = (
+    "speed_min",
+    "speed_max",
+    "speed_pole",
+    "pitch_limit",
+    "roll_limit",
+    "trim_throttle",
+    "trim_airspeed",
+)
+
+
+def build_config(fleet: Fleet, controller: Controller, *, dt: float) -> FormationConfig:
+    """Build the configuration of all n followers, which step every `dt` s."""
+    names, profiles = fleet.names[1:], [each.gains for each in fleet.followers]
+    leader_s, neighbour_s = controller.leader_timeout_s, controller.neighbour_timeout_s
+    low, high = np.array([each.agent.speed_mps for each in fleet.followers]).T
+    poles = [each.agent.speed_pole_per_s for each in fleet.followers]
+    return FormationConfig(
+        names=names,
+        agents=np.arange(1, len(names) + 1, dtype=np.intp),
+        offsets=fleet.offsets,
+        gains=fleet.weights,
+        speed_min=low.copy(),
+        speed_max=high.copy(),
+        speed_pole=np.array(poles, dtype=np.float64),
+        pitch_limit=profile_values(profiles, "limits.pitch_deg", scale=math.radians(1.0)),
+        roll_limit=profile_values(profiles, "limits.roll_deg", scale=math.radians(1.0)),
+        trim_throttle=profile_values(profiles, "trim_throttle"),
+        trim_airspeed=profile_values(profiles, "trim_airspeed_mps"),
+        dt=dt,
+        leader_timeout_s=leader_s,
+        neighbour_timeout_s=leader_s if neighbour_s is None else neighbour_s,
+    )
+
+
+def select_followers(config: FormationConfig, rows: Sequence[int]) -> FormationConfig:
+    """Select some followers; all N aircraft stay possible neighbours."""
+    chosen = np.array(rows, dtype=np.intp)
+    return FormationConfig(
+        names=tuple(config.names[i] for i in rows),
+        agents=config.agents[chosen],
+        offsets=config.offsets,
+        gains=config.gains[chosen],
+        **{name: getattr(config, name)[chosen] for name in _OF_FOLLOWERS},
+        dt=config.dt,
+        leader_timeout_s=config.leader_timeout_s,
+        neighbour_timeout_s=config.neighbour_timeout_s,
+    )
+
+
+def profile_values(profiles: Sequence[Profile], path: str, scale: float = 1.0) -> Array:
+    """Return one number of every profile (n,), by its dotted key."""
+    return scale * np.array([attrgetter(path)(profile) for profile in profiles], dtype=np.float64)
+
+
+_SCALED = {
+    f"{field}_{term}": f"{key}.{term}"
+    for field, key, terms in (
+        ("gamma", "flight_path", "pid"),
+        ("course", "course", "pid"),
+        ("speed", "speed", "pi"),
+        ("altitude", "altitude", "pid"),
+    )
+    for term in terms
+}
+_UNSCALED = {
+    "eta_speed": "eta_speed",
+    "eta_bank": "eta_bank",
+    "trim_throttle": "trim_throttle",
+    "trim_airspeed": "trim_airspeed_mps",
+    "roll_lead": "feed_forwards.roll_lead_s",
+    "lead_filter": "feed_forwards.lead_filter_s",
+    "eta_climb": "feed_forwards.eta_climb",
+    "rate_filter": "rate_filter_s",
+}
+_DEGREES = {
+    "pitch_limit": "limits.pitch_deg",
+    "roll_limit": "limits.roll_deg",
+    "turn_incidence": "feed_forwards.turn_incidence_deg",
+}
+
+
+def make_loops(
+    profiles: Sequence[Profile],
+    *,
+    dt: float,
+    speed_min: Array,
+    speed_max: Array,
+    altitude: Array | float = math.nan,
+    scale: float = 1.0,
+    incidence: float = 0.0,
+    airspeed_error_as_printed: bool = False,
+) -> Records:
+    """Return middle loops (n,) of LOOP with the gains of profiles.
+
+    Args:
+        profiles: n of them.
+        dt: control period, s.
+        speed_min: (n,) m/s, of the commanded airspeed.
+        speed_max: (n,) m/s.
+        altitude: (n,) m to hold; nan: none.
+        scale: multiplies every PID gain, as `controller.gain_scale`.
+        incidence: fraction of θ − γ that is fed forward, 0 or 1.
+        airspeed_error_as_printed: see LOOP.
+    """
+    loops = allocate(LOOP, len(profiles))
+    for name, path in _SCALED.items():
+        loops[name] = profile_values(profiles, path, scale)
+    for name, path in _UNSCALED.items():
+        loops[name] = profile_values(profiles, path)
+    for name, path in _DEGREES.items():
+        loops[name] = profile_values(profiles, path, math.radians(1.0))
+    loops["course_inside"] = [each.course_feedback == "inside_arctangent" for each in profiles]
+    loops["incidence"], loops["dt"] = incidence, dt
+    loops["speed_min"], loops["speed_max"], loops["altitude"] = speed_min, speed_max, altitude
+    loops["airspeed_error_as_printed"] = airspeed_error_as_printed
+    return loops
+
+
+def build_loops(
+    followers: Sequence[PlannedFollower], controller: Controller, config: FormationConfig
+) -> Records:
+    """Return the middle loops (n,) of LOOP of the followers."""
+    return make_loops(
+        [each.gains for each in followers],
+        dt=config.dt,
+        speed_min=config.speed_min,
+        speed_max=config.speed_max,
+        altitude=np.array([each.altitude for each in followers]),
+        scale=controller.gain_scale,
+        incidence=float(controller.pitch_feedforward == "incidence"),
+        airspeed_error_as_printed=controller.throttle_error == "airspeed",
+    )
+
+
+def build_companions(each: Companion, clock: Clock, aircraft: Records) -> Companions | None:
+    """Build the companion computers of a scenario; None where they have no latency."""
+    if not (each.state_latency_s or each.command_latency_s):
+        return None
+    return Companions(aircraft, clock, each.state_latency_s, each.command_latency_s)

@@ -1,0 +1,468 @@
+"""Laws, functions and barriers of users: load them, call them, hold laws to their contract."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import importlib
+import importlib.util
+import inspect
+import json
+import pickle
+import site
+import sys
+import sysconfig
+from collections.abc import Callable, Iterator, Mapping
+from importlib.metadata import distributions
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NoReturn, cast
+from urllib.parse import unquote, urlsplit
+
+import numpy as np
+
+from testbed.core.errors import InputError, raise_memory_shortage
+from testbed.core.input_files import read_bounded
+from testbed.core.records import Array, FbwaCommand, Inbox, UnicycleCommand, VehicleState
+from testbed.flight.control import law_file, user_code_errors, validate_command
+from testbed.formation.law import FormationConfig, Law
+from testbed.scenario import Scenario, code_references, find_code, library, with_values
+from testbed.scenario.fields import KeyPath
+
+
+def build_law(name: str, options: Mapping[str, Any], config: FormationConfig) -> tuple[Law, str]:
+    """Import and construct the law of a scenario's `controller.law`.
+
+    Args:
+        name: "module:Class" of a file in scenarios/ or an installed module, or
+            "path/of/file.py:Class".
+        options: keyword arguments for the class.
+        config: its first argument.
+
+    Returns:
+        The law, and a description of its code with the digest.
+
+    Raises:
+        InputError: the module or class does not exist, or does not accept these options.
+    """
+    module_name, _, class_name = find_code(name).rpartition(":")
+    module, origin = _import(module_name, "controller.law")
+    with user_code_errors(origin):  # attributes of modules and classes can be code, too
+        found: Any = getattr(module, class_name, None)
+        if not isinstance(found, type):
+            classes = [n for n, each in vars(module).items() if inspect.isclass(each)]
+            raise InputError(
+                f"controller.law: {origin} has no class {class_name!r} (it has "
+                f"{', '.join(classes) or 'none'})"
+            )
+        for method in ("start", "step"):
+            if not callable(getattr(found, method, None)):
+                raise InputError(
+                    f"controller.law: {class_name} has no method {method} (a law has "
+                    "start(own) -> memory and step(now, own, inbox, memory) -> command, memory)"
+                )
+        try:
+            inspect.signature(found).bind(config, **options)
+        except TypeError as error:
+            raise InputError(
+                f"controller.options: {class_name}{inspect.signature(found)} cannot be built: "
+                f"{error}"
+            ) from error
+        make = cast(Callable[..., Law], found)
+        return make(config, **options), _describe(module_name, origin)
+
+
+def build_function(name: str, key: str) -> tuple[Callable[..., Array], str]:
+    """Import a function of the array (K,) that is its first argument.
+
+    Args:
+        name: "module:function" of a file in scenarios/ or an installed module, or
+            "path/of/file.py:function".
+        key: of the scenario, for errors.
+
+    Returns:
+        The function, which raises `InputError` unless its values (K,) are finite numbers, and a
+        description of its code with the digest.
+
+    Raises:
+        InputError: the module or function does not exist.
+    """
+    module_name, _, function_name = find_code(name).rpartition(":")
+    module, origin = _import(module_name, key)
+    with user_code_errors(origin, "the module"):
+        found: Any = getattr(module, function_name, None)
+    if not callable(found):
+        functions = [n for n, each in vars(module).items() if inspect.isfunction(each)]
+        raise InputError(
+            f"{key}: {origin} has no function {function_name!r} (it has "
+            f"{', '.join(functions) or 'none'})"
+        )
+
+    def call(x: Array, *others: float) -> Array:
+        with user_code_errors(origin, "the function"), np.errstate(all="ignore"):
+            values = np.asarray(found(x.copy(), *others), dtype=np.float64)
+        if values.shape != x.shape:
+            raise InputError(
+                f"{key}: {function_name} of an array of shape {x.shape} has shape {values.shape} "
+                "(write NumPy operations on the whole array)"
+            )
+        wrong = np.flatnonzero(~np.isfinite(values))
+        if wrong.size:
+            raise InputError(
+                f"{key}: {function_name}({x[wrong[0]]:.4g}) is {values[wrong[0]]} (write a "
+                "function that is finite everywhere)"
+            )
+        return values
+
+    return call, _describe(module_name, origin)
+
+
+def with_stored_code(scenario: Scenario) -> tuple[Scenario, Mapping[str, bytes]]:
+    """Return the scenario and the code files to store with a run.
+
+    A file is named relative to the stored scenario; code of the testbed or of an installed package
+    keeps its name.
+
+    Raises:
+        InputError: a file cannot be read, or two have the same name.
+    """
+    changes: list[tuple[KeyPath, str]] = []
+    files: dict[str, bytes] = {}
+    for loc, name in code_references(scenario):
+        module_name, _, object_name = find_code(name).rpartition(":")
+        path = Path(module_name)
+        if path.suffix != ".py" or _in_library(path):
+            continue
+        code = _read(path)
+        if files.setdefault(path.name, code) != code:
+            raise InputError(
+                f"{'.'.join(map(str, loc))}: two different files are named {path.name} (rename one)"
+            )
+        changes.append((loc, f"{path.name}:{object_name}"))
+    return (with_values(scenario, changes) if changes else scenario), files
+
+
+def is_installed(name: str) -> bool:
+    """Return whether the package of a module is installed, also in editable mode.
+
+    Nothing is imported. Modules of the standard library do not count: none of them is a law.
+    """
+    try:
+        spec = importlib.util.find_spec(name.partition(".")[0])
+    except (ImportError, ValueError):
+        return False
+    if spec is None:
+        return False
+    paths = [spec.origin, *(spec.submodule_search_locations or ())]
+    found = [Path(path).resolve() for path in paths if path]
+    return any(path.is_relative_to(folder) for folder in _package_folders() for path in found)
+
+
+def _package_folders() -> Iterator[Path]:
+    """Yield the site-packages folders, and those of editable installations."""
+    for each in (*map(sysconfig.get_path, ("purelib", "platlib")), site.getusersitepackages()):
+        yield Path(each).resolve()
+    for package in distributions():
+        source = json.loads(package.read_text("direct_url.json") or "{}")
+        if source.get("dir_info", {}).get("editable"):
+            yield Path(unquote(urlsplit(source["url"]).path)).resolve()
+
+
+def _in_library(path: Path) -> bool:
+    """Return whether a file belongs to the testbed's own scenarios."""
+    return path.parent == library() / "scenarios"
+
+
+def _describe(module_name: str, origin: str) -> str:
+    """Describe the code independently of the folder it is in."""
+    path = Path(origin)
+    digest = hashlib.sha256(_read(path)).hexdigest()[:12] if path.is_file() else "unknown"
+    if not module_name.endswith(".py"):
+        return f"the installed module {module_name} (SHA-256 {digest})"
+    return f"{path.name}{' of the testbed' * _in_library(path)} (SHA-256 {digest})"
+
+
+def _read(path: Path) -> bytes:
+    return read_bounded(path, error=InputError)
+
+
+def _import(name: str, key: str) -> tuple[ModuleType, str]:
+    """Import a file or an installed module for a key; return it with its path."""
+    what = "the law" if key == "controller.law" else "the module"
+    if name.endswith(".py"):
+        path = Path(name)
+        # under a prefixed name: it must not hide a module of the same name
+        spec = importlib.util.spec_from_file_location(f"testbed_law_{path.stem}", path)
+        if spec is None or spec.loader is None or not path.is_file():
+            raise InputError(f"{key}: there is no file {path}")
+        module = importlib.util.module_from_spec(spec)
+        # dataclasses look up the module while their class is defined
+        sys.modules[spec.name] = module
+        # leave no __pycache__ beside the scenario
+        before, sys.dont_write_bytecode = sys.dont_write_bytecode, True
+        try:
+            with user_code_errors(str(path), what):
+                spec.loader.exec_module(module)
+        except InputError as error:
+            raise InputError(f"{key}: {path} cannot be imported: {error}") from error
+        finally:
+            sys.dont_write_bytecode = before
+        return module, str(path)
+    remedy = f"write a {name}.py beside the scenario, install the package, or check the name"
+    if not all(part.isidentifier() for part in name.split(".")) or not is_installed(name):
+        raise InputError(f"{key}: no module {name!r} ({remedy})")
+    try:
+        with user_code_errors(name, what):
+            module = importlib.import_module(name)
+            return module, str(getattr(module, "__file__", None) or name)
+    except InputError as error:
+        raise InputError(f"{key}: no module {name!r} ({remedy}): {error}") from error
+
+
+SEED = 11
+STEPS = 4
+MISSING_SHARES = (0.0, 0.3)  # of messages that are missing, and of those that are old
+SPEED_FACTOR = 2.0  # of the speed bounds, beyond which a commanded speed has another unit
+Command = UnicycleCommand | FbwaCommand[Array]
+Step = tuple[float, VehicleState, Inbox]
+
+
+def check_law(law: Law, config: FormationConfig) -> type[Command]:
+    """Check a law on generated flights of its followers, and return its type of command.
+
+    Raises:
+        InputError: naming the first rule that it violates, or the exception that it raises.
+    """
+    with user_code_errors(law_file(law)):
+        return _check_rules(law, config)
+
+
+def _check_rules(law: Law, config: FormationConfig) -> type[Command]:
+    rng = np.random.default_rng(SEED)
+    before = _attributes(law)
+    for share in MISSING_SHARES:
+        flight = [_make_step(config, rng, share, k * config.dt) for k in range(STEPS)]
+        commands = _fly(law, config, flight)
+        if not _same(commands, _fly(law, config, flight)):
+            _reject(
+                law,
+                "returns another command for the same input (store state in the memory, not in "
+                "attributes or global variables)",
+            )
+        for row in range(len(config.names) if len(config.names) > 1 else 0):
+            _check_locality(law, config, flight, commands, rng, row)
+        _check_interleaved(law, config, flight, commands, rng)
+        for command in commands:
+            if isinstance(command, UnicycleCommand):
+                _check_axes(law, command)
+    _check_values(law, config)
+    _check_attributes(law, before)
+    return type(commands[0])
+
+
+def _check_values(law: Law, config: FormationConfig) -> None:
+    """Check units and axes of commands in level flight in the slots at the trim airspeed."""
+    rng = np.random.default_rng(SEED)
+    calm = [_make_step(config, rng, 0.0, k * config.dt, noise=0.0) for k in range(STEPS)]
+    commands = _fly(law, config, calm)
+    unicycle = [each for each in commands if isinstance(each, UnicycleCommand)]
+    for name in ("speed", "speed_desired") if unicycle else ():
+        speeds = np.median([getattr(each, name) for each in unicycle], axis=0)
+        for row, speed in enumerate(speeds):
+            low, high = config.speed_min[row], config.speed_max[row]
+            if not low / SPEED_FACTOR <= speed <= high * SPEED_FACTOR:
+                _reject(
+                    law,
+                    f"returns a {name} of {speed:.4g} for {config.names[row]} near its slot, "
+                    f"whose bounds are {low:g} to {high:g} m/s (speeds are in m/s)",
+                )
+    for each in commands:
+        if isinstance(each, FbwaCommand):
+            for name in ("pitch", "roll"):
+                angle = abs(getattr(each, name)).max()
+                if angle > np.pi / 2.0:
+                    _reject(law, f"returns a {name} of {angle:.4g} (angles are in rad)")
+
+
+def _check_axes(law: Law, command: UnicycleCommand) -> None:
+    """Check that directions are unit vectors, and that ω has no component along the velocity."""
+    length = np.linalg.norm(command.direction, axis=1)
+    if abs(length - 1.0).max() > 1e-6:
+        _reject(law, f"returns a direction of length {length.max():.4g} (unit vectors)")
+    rolling = command.omega[:, 0]
+    if rolling.any():
+        _reject(
+            law,
+            f"returns omega with a first component of {rolling[abs(rolling).argmax()]:.4g} rad/s "
+            "(write 0: omega is (0, pitch rate, yaw rate), and the velocity frame does not roll)",
+        )
+
+
+def _check_interleaved(
+    law: Law,
+    config: FormationConfig,
+    flight: list[Step],
+    commands: list[Command],
+    rng: np.random.Generator,
+) -> None:
+    """Check that a flight is the same while another one is stepped at the same times."""
+    other = []
+    for now, own, inbox in flight:
+        moved = VehicleState(*(each * (1.0 + 0.1 * rng.random(each.shape)) for each in own))
+        other.append((now, moved, inbox))
+    memories = [law.start(_read_only(each[0][1])) for each in (other, flight)]
+    for one, two, expected in zip(other, flight, commands, strict=True):
+        for k, (now, own, inbox) in enumerate((one, two)):
+            result = law.step(now, _read_only(own), _read_only(inbox), memories[k])
+            command, memories[k] = result
+        if not _same([expected], [validate_command(command, config, two[0])]):
+            _reject(
+                law,
+                "returns another command where it also steps another flight (store state in "
+                "the memory, not in attributes or global variables)",
+            )
+
+
+def _attributes(law: Law) -> dict[str, bytes]:
+    """Return the attributes of a law as bytes; those that cannot be pickled are left out."""
+    found = {name: _pickled(value) for name, value in getattr(law, "__dict__", {}).items()}
+    return {name: value for name, value in found.items() if value}
+
+
+def _check_attributes(law: Law, before: dict[str, bytes]) -> None:
+    """Check that no attribute of a law has changed."""
+    after = _attributes(law)
+    changed = [name for name in after if before.get(name) != after[name]]
+    if changed:
+        _reject(
+            law,
+            f"changes its attribute {changed[0]!r} while it steps (store state in the memory, "
+            "which step receives and returns)",
+        )
+
+
+def _fly(law: Law, config: FormationConfig, flight: list[Step]) -> list[Command]:
+    """Return the command of each step; memory and inputs must not be modified."""
+    commands = []
+    memory = law.start(_read_only(flight[0][1]))
+    for now, own, inbox in flight:
+        before = copy.deepcopy(memory)
+        try:
+            result = law.step(now, _read_only(own), _read_only(inbox), memory)
+        except ValueError as error:
+            if "read-only" not in str(error):
+                raise
+            _reject(law, f"writes into its inputs ({error}; make a copy)")
+        if not (isinstance(result, tuple) and len(result) == 2):
+            _reject(law, "must return two values from step: the command and the memory")
+        command, after = result
+        modified = _pickled(memory) != _pickled(before)
+        again = law.step(now, _read_only(own), _read_only(inbox), before)[0]
+        command = validate_command(command, config, now)
+        if modified or not _same([command], [validate_command(again, config, now)]):
+            _reject(
+                law,
+                "does not carry its memory as a value (return a new memory from step, do not "
+                "modify the old one, and store state nowhere else)",
+            )
+        commands.append(command)
+        memory = after
+    return commands
+
+
+def _check_locality(
+    law: Law,
+    config: FormationConfig,
+    flight: list[Step],
+    commands: list[Command],
+    rng: np.random.Generator,
+    row: int,
+) -> None:
+    """Check that a follower's command does not depend on the inputs of the others."""
+    changed = []
+    for now, own, inbox in flight:
+        other_own = VehicleState(*(_perturb_others(each, rng, row) for each in own))
+        content = (_perturb_others(each, rng, row) for each in inbox[2:])
+        changed.append((now, other_own, Inbox(inbox.stamp_s, inbox.received_s, *content)))
+    others = [name for name in config.names if name != config.names[row]]
+    for before, after in zip(commands, _fly(law, config, changed), strict=True):
+        for field, one, two in zip(before._fields, _arrays(before), _arrays(after), strict=True):
+            if not np.allclose(one[row], two[row], rtol=1e-9, atol=1e-9):
+                _reject(
+                    law,
+                    f"returns another {field} for {config.names[row]} when only inputs of "
+                    f"{', '.join(others)} change (row i may use row i of own and inbox only)",
+                )
+
+
+def _perturb_others(values: Array, rng: np.random.Generator, row: int) -> Array:
+    """Return a copy with all rows but one increased by up to 10 %."""
+    out = values * (1.0 + 0.1 * rng.random(values.shape))
+    out[row] = values[row]
+    return out
+
+
+def _make_step(
+    config: FormationConfig, rng: np.random.Generator, share: float, now: float, noise: float = 1.0
+) -> Step:
+    """Generate estimates and messages of a formation in level flight north, near its slots."""
+    n, aircraft = len(config.names), len(config.offsets)
+    speed = float(np.mean(config.trim_airspeed))
+    centre = np.array([now * speed, 0, -100.0])
+    position = config.offsets + noise * rng.normal(0.0, 3.0, (aircraft, 3)) + centre
+    velocity = np.array([speed, 0.0, 0.0]) + noise * rng.normal(0.0, 1.0, (aircraft, 3))
+    acceleration = noise * rng.normal(0.0, 0.5, (aircraft, 3))
+    euler = noise * rng.normal(0.0, 0.2, (aircraft, 3))
+    rates = noise * rng.normal(0.0, 0.1, (aircraft, 3))
+    rows = config.agents
+    airspeed = np.linalg.norm(velocity, axis=1)
+    own = VehicleState(
+        position[rows],
+        velocity[rows],
+        acceleration[rows],
+        euler[rows],
+        rates[rows],
+        airspeed[rows],
+        airspeed[rows],
+    )
+    # some messages are missing, and some are older than the time-out
+    old = rng.random((n, aircraft)) < share
+    limit = np.full(aircraft, config.neighbour_timeout_s)
+    limit[0] = config.leader_timeout_s
+    stamp = now - np.where(old, 2.0 * limit * rng.random((n, aircraft)), 0.0)
+    stamp[rng.random((n, aircraft)) < share] = np.nan
+    missing = np.isnan(stamp)[:, :, np.newaxis]
+    content = (position, velocity, acceleration, euler, rates)
+    received = (np.where(missing, np.nan, np.stack([each] * n)) for each in content)
+    return now, own, Inbox(stamp, stamp.copy(), *received)
+
+
+def _read_only(record: Any) -> Any:  # noqa: ANN401 - a record of arrays
+    copies = [each.copy() for each in record]
+    for each in copies:
+        each.flags.writeable = False
+    return type(record)(*copies)
+
+
+def _pickled(memory: Any) -> bytes:  # noqa: ANN401 - any type
+    """Return the memory as bytes for a comparison; empty if it cannot be pickled."""
+    try:
+        return pickle.dumps(memory)
+    except Exception as error:  # of the types in it, which may be the user's
+        raise_memory_shortage(error)
+        return b""
+
+
+def _arrays(command: Any) -> list[Array]:  # noqa: ANN401 - a record of arrays
+    return list(command)
+
+
+def _same(ours: list[Command], theirs: list[Command]) -> bool:
+    return all(
+        type(one) is type(two) and all(map(np.array_equal, _arrays(one), _arrays(two)))
+        for one, two in zip(ours, theirs, strict=True)
+    )
+
+
+def _reject(law: Law, text: str) -> NoReturn:
+    raise InputError(f"controller.law: {type(law).__name__} {text}")

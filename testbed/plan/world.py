@@ -1,0 +1,277 @@
+"""Build the world of a scenario: every object of a run, checked before the flight."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from testbed import __version__
+from testbed.core.compile import registered, registering
+from testbed.core.random import named_stream
+from testbed.core.records import (
+    AIRCRAFT,
+    FOLLOWER,
+    Event,
+    RunInfo,
+    allocate,
+    write_fields,
+)
+from testbed.core.start_time import start_unix_ns
+from testbed.flight.arduplane_vehicles import ArduPlaneVehicles
+from testbed.flight.control import Control
+from testbed.flight.faults import FaultManager, no_faults
+from testbed.flight.schedule import Clock, make_clock
+from testbed.flight.world import BuiltControl, LeaderSetup, World
+from testbed.plan.air import (
+    build_air,
+    build_mean_wind,
+    initial_wind,
+    still_field_warnings,
+    strongest_wind,
+    temperature_offset,
+    temperature_warnings,
+)
+from testbed.plan.commands import build_external_control
+from testbed.plan.control import build_companions, build_control
+from testbed.plan.faults import build_faults, build_membership, fault_warnings
+from testbed.plan.fleet import Fleet, resolve
+from testbed.plan.leader import build_leader
+from testbed.plan.limits import build_envelope_monitor, build_proximity, separation_warnings
+from testbed.plan.radio import build_radio, transmit_times
+from testbed.plan.resources import check_memory
+from testbed.plan.user_code import with_stored_code
+from testbed.plan.vehicles import build_starts, build_vehicles, gust_input_warnings
+from testbed.plan.warnings import (
+    assumption_warnings,
+    leader_warnings,
+    limit_warnings,
+    sensor_warnings,
+    sitl_gyro_warnings,
+    step_warnings,
+    tune_warnings,
+    unusual_warnings,
+)
+from testbed.scenario import SCHEMA_VERSION, Scenario, dump
+from testbed.sensors.estimators import StateEstimators
+from testbed.vehicle.environment import describe_integrators
+from testbed.vehicle.jsbsim_adapter import VERSION as JSBSIM_VERSION
+from testbed.vehicle.trim import STILL, Vector
+
+
+@registering()
+def build(
+    scenario: Scenario,
+    *,
+    commanded: bool = False,
+    arduplane: Path | None = None,
+    processes: int | None = 1,
+) -> World:
+    """Build the world of a scenario.
+
+    Args:
+        scenario: as resolved.
+        commanded: external programs may command the aircraft, also where the scenario does not set
+            so.
+        arduplane: the program for `autopilot: ardupilot` where the scenario names none; None: that
+            of the environment.
+        processes: that step JSBSim models; None: as many as are fastest on this machine.
+
+    Raises:
+        ScenarioError, ParamError, AircraftError, TrimError, ValueError: something cannot be built;
+            the message has what to write instead.
+    """
+    clock = build_clock(scenario)
+    check_memory(scenario)
+    fleet = resolve(scenario)
+    names, origin, rates = fleet.names, fleet.origin, scenario.rates
+    seed, duration_s = scenario.scenario.seed, scenario.scenario.duration_s
+    height = scenario.leader.start.altitude_m
+    warmer = temperature_offset(scenario.air, origin.elevation_m)
+    mean_wind = build_mean_wind(scenario.air.wind, height_m=height, duration_s=duration_s)
+    wind = initial_wind(mean_wind, height)
+    leader = build_leader(
+        fleet.leader,
+        clock,
+        origin,
+        duration_s=duration_s,
+        warmer=warmer,
+        wind_ned=wind,
+        wind_speed=strongest_wind(scenario.air, mean_wind, height, duration_s),
+    )
+    starts = build_starts(fleet, leader, mean_wind)
+    aircraft, followers = allocate(AIRCRAFT, len(names)), allocate(FOLLOWER, len(names) - 1)
+    write_fields(aircraft["faults"], no_faults(len(names)))
+    air = build_air(
+        scenario.air,
+        mean_wind,
+        names,
+        [each.airframe for each in fleet.aircraft],
+        seed=seed,
+        height_m=height,
+        elevation_m=origin.elevation_m,
+        dt=clock.autopilot / clock.base_rate_hz,
+        sheds=[each.has_model for each in fleet.aircraft],
+    )
+    if not air.steady:
+        air.bind(aircraft)
+    vehicles = build_vehicles(
+        fleet,
+        leader,
+        starts,
+        rates,
+        clock,
+        aircraft,
+        controller=scenario.controller,
+        leader_pole=scenario.formation.speed_pole_per_s,
+        warmer=warmer,
+        arduplane=arduplane,
+        processes=processes,
+    )
+    jsbsim, on_failure = vehicles.jsbsim, scenario.formation.on_failure
+    control = build_control(fleet, scenario.controller, clock)
+    radio, outages = build_radio(names, scenario.network, fleet.weights, origin, seed)
+    faults = build_faults(fleet, vehicles.fleet, on_failure.declared_after_s)
+    external = None
+    if commanded or any(each.commanded_by.kind == "external" for each in scenario.aircraft):
+        external = build_external_control(fleet, clock, leader, starts, jsbsim)
+    estimators = _build_estimators(scenario, faults)
+    companions = build_companions(scenario.controller.companion, clock, aircraft)
+    return World(
+        clock=clock,
+        duration_s=duration_s,
+        names=names,
+        aircraft=aircraft,
+        followers=followers,
+        links=radio.links,
+        air=None if air.steady else air,
+        gusts=tuple(gust.name for gust in scenario.air.gusts),
+        vehicles=vehicles.vehicles,
+        scripted_leader=leader.vehicle is not None,
+        external_processes=(jsbsim,) if isinstance(jsbsim, ArduPlaneVehicles) else (),
+        fleet=vehicles.fleet,
+        estimators=estimators,
+        faults=faults,
+        proximity=build_proximity(fleet, scenario.limits),
+        envelope=build_envelope_monitor(fleet, scenario.limits, faults),
+        fly_on=scenario.limits.on_loss == "continue",
+        leader_controller=external if external and external.commands_leader else leader.controller,
+        external_control=external,
+        built_control=control,
+        control=Control(
+            control.groups,
+            control.controllers,
+            control.neighbours,
+            fleet.offsets,
+            build_membership(fleet, on_failure, scenario.controller.law, faults),
+            (aircraft, followers, radio.links),
+            companions,
+        ),
+        companions=companions,
+        radio=radio,
+        outages=outages,
+        altitudes=fleet.altitudes,
+        initial_events=(
+            *(Event(0.0, "info", "run", text) for text in control.messages),
+            *gust_input_warnings(fleet, vehicles, steady_air=air.steady),
+            *still_field_warnings(scenario.air),
+            *temperature_warnings(fleet, warmer),
+            *unusual_warnings(scenario),
+            *fault_warnings(fleet, on_failure),
+            *step_warnings(fleet, rates, vehicles),
+            *limit_warnings(fleet),
+            *tune_warnings(fleet),
+            *sitl_gyro_warnings(fleet, rates.physics_hz),
+            *leader_warnings(fleet, control.config, leader, duration_s, wind),
+            *sensor_warnings(fleet, rates.autopilot_hz),
+            *separation_warnings(fleet, scenario.limits),
+            *assumption_warnings(scenario, fleet, control, leader, wind),
+        ),
+        info=_run_info(
+            scenario,
+            fleet,
+            clock,
+            leader,
+            control,
+            wind,
+            exact=estimators.exact,
+            integrators={} if vehicles.fleet is None else describe_integrators(),
+        ),
+        entries=registered(),
+    )
+
+
+def build_clock(scenario: Scenario) -> Clock:
+    """Build the clock of a scenario, with random phases of unsynchronised aircraft."""
+    rates = scenario.rates.model_dump()
+    synchronous = rates.pop("synchronous")
+    names, seed = scenario.aircraft_names, scenario.scenario.seed
+    phases = None
+    if not synchronous:
+        phases = [float(named_stream(seed, f"phase/{name}").random()) for name in names]
+    times = transmit_times(names, scenario.network)
+    return make_clock(**rates, aircraft=len(names), phases=phases, transmit_times=times)
+
+
+def versions() -> dict[str, str]:
+    """Return the versions that determine the numbers of a run beside its scenario."""
+    return {
+        "testbed": __version__,
+        "schema": str(SCHEMA_VERSION),
+        "jsbsim": JSBSIM_VERSION,
+        "numpy": np.__version__,
+        "python": platform.python_version(),
+    }
+
+
+def _build_estimators(scenario: Scenario, faults: FaultManager | None) -> StateEstimators:
+    return StateEstimators(
+        scenario.aircraft_names,
+        [each.sensors for each in scenario.aircraft],
+        seed=scenario.scenario.seed,
+        rate_hz=scenario.rates.autopilot_hz,
+        sensor_faults=faults is not None and faults.affects_sensors,
+    )
+
+
+def _run_info(
+    scenario: Scenario,
+    fleet: Fleet,
+    clock: Clock,
+    leader: LeaderSetup,
+    control: BuiltControl,
+    wind: Vector,
+    *,
+    exact: bool,
+    integrators: Mapping[str, str],
+) -> RunInfo:
+    """Describe the run for its observers; `exact`: estimates are the truth."""
+    stored, code = with_stored_code(scenario)
+    agents = [each.agent for each in fleet.followers]
+    return RunInfo(
+        scenario_name=scenario.name,
+        scenario_yaml=dump(stored),
+        code=code,
+        names=fleet.names,
+        aircraft=tuple(each.folder.name for each in fleet.aircraft),
+        wingspan_m=tuple(each.airframe.span for each in fleet.aircraft),
+        origin=fleet.origin,
+        base_rate_hz=clock.base_rate_hz,
+        sample_rate_hz=scenario.rates.log_hz,
+        duration_s=scenario.scenario.duration_s,
+        seed=scenario.scenario.seed,
+        speed_bounds_mps=tuple(each.speed_mps for each in agents),
+        bounded_in_ned=wind if scenario.controller.bounded_speed == "airspeed" else STILL,
+        kappa_mps=tuple(each.kappa_mps for each in agents),
+        roll_limit_rad=tuple(control.config.roll_limit.tolist()),
+        barriers=control.barriers,
+        barrier_samples=control.barrier_samples,
+        estimated=not exact,
+        start_unix_ns=start_unix_ns(scenario.log.start_time) if scenario.log.start_time else 0,
+        leader_path_ned=leader.path_ned,
+        windows=dict(scenario.scenario.windows),
+        versions=versions(),
+        integrators=integrators,
+    )

@@ -1,0 +1,1 @@
+"""Whole flights for users: run, step, recover, expectations."""

@@ -1,0 +1,290 @@
+"""Fly a scenario: build, fly, observe, and write log, resolved scenario and metrics."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, cast
+
+from testbed.commands.tick_gate import RealTimePacer, TickGate
+from testbed.core.errors import InputError
+from testbed.core.files import reserve_standard_descriptors
+from testbed.core.records import Event, Observer
+from testbed.flight.loop import Flight
+from testbed.flight.stages import UserStage, describe_stages
+from testbed.flight.world import World
+from testbed.logs.file_record import record_files
+from testbed.logs.recorder import McapRecorder
+from testbed.logs.run_directory import (
+    LOG_NAME,
+    LOGS,
+    METRICS_NAME,
+    SCENARIO_NAME,
+    TLOG_NAME,
+    create_run_directory,
+    write_run_file,
+)
+from testbed.metrics import MetricsObserver
+from testbed.metrics.document import finalise, write_json
+from testbed.metrics.expectations import violations
+from testbed.metrics.model import Metrics
+from testbed.plan.resources import check_disk
+from testbed.plan.world import build
+from testbed.runs.external_options import (
+    NO_EXTERNAL,
+    ExternalOptions,
+    announcements,
+    check_links,
+    external_summary,
+    make_server,
+)
+from testbed.runs.stop_request import RunStopped, stop_on_signals
+from testbed.scenario import Scenario, load_scenario
+from testbed.scenario.arguments import check_calls, check_count, check_overrides, check_path
+from testbed.scenario.validate import shown_value
+from testbed.vehicle.workers import ParallelFleet
+
+EXIT_CODES: Mapping[str, int] = {
+    "completed": 0,
+    "lost": 1,
+    "envelope_exceeded": 1,
+    "formation_lost": 1,
+    "separation_lost": 1,
+    "failed": 4,
+    "interrupted": 130,
+}
+UNEXPECTED = 3  # exit code of a number outside the bounds of `expect`
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Run:
+    """A flown scenario.
+
+    Args:
+        scenario: as resolved.
+        metrics: the content of `metrics.json`.
+        directory: of its files; None if nothing was written.
+    """
+
+    scenario: Scenario
+    metrics: Metrics
+    directory: Path | None
+
+    def __repr__(self) -> str:
+        """Show outcome, RMS errors by follower and window, and the directory."""
+        from testbed.metrics.tables import table_text
+
+        return table_text(self.metrics, str(self.directory or ""))
+
+    def _repr_html_(self) -> str:
+        """Show the same in a notebook."""
+        from testbed.metrics.tables import table_html
+
+        return table_html(self.metrics, str(self.directory or ""))
+
+    @property
+    def outcome(self) -> str:
+        """The outcome: a key of `EXIT_CODES` except "failed"."""
+        return str(self.metrics["outcome"])
+
+    @property
+    def exit_code(self) -> int:
+        """The exit code of the command line: of the outcome, or that of an unexpected number."""
+        return EXIT_CODES[self.outcome] or (UNEXPECTED if violations(self.metrics) else 0)
+
+
+def run(
+    scenario: Scenario | str | os.PathLike[str],
+    overrides: Sequence[str] = (),
+    *,
+    out: str | os.PathLike[str] | None = None,
+    write: bool = True,
+    observers: Sequence[Observer] = (),
+    external: ExternalOptions = NO_EXTERNAL,
+    processes: int | None = 1,
+    compiling: Callable[[int, int], None] | None = None,
+    stages: Sequence[UserStage] = (),
+) -> Run:
+    """Fly a scenario to its end.
+
+    Ctrl-C and SIGTERM end it after the current tick, or during a wait for ArduPlane, and all files
+    are written. Another one within a second has no effect; a later one ends it within the tick and
+    raises KeyboardInterrupt after all files are written.
+
+    Args:
+        scenario: a scenario, or the name or path of one.
+        overrides: `key=value` as for `--set`; only with a name or path.
+        out: run directory to create; default `logs/<scenario>/<UTC>-<id>` in the current one.
+        write: write the log, the resolved scenario and the metrics there.
+        observers: further observers; one that raises ends the run as failed.
+        external: links to external programs, and the pace.
+        processes: that step flight models, including this one; None: as many as are fastest for
+            this number of aircraft on this machine. Results do not depend on it.
+        compiling: called with the number of kernels that are ready and of all kernels, while
+            kernels are compiled before the flight: once, after which they are on disk.
+        stages: of your own, inserted into the flight's; `testbed validate --stages` lists these.
+
+    Raises:
+        InputError: an argument is wrong, or the scenario cannot be flown; the message has what to
+            write instead.
+        LogError: the run directory or the log cannot be written.
+        ExternalProgramLost: an external program that the scenario needs has ended or does not
+            respond.
+    """
+    reserve_standard_descriptors()  # or the log gets one of them, on which JSBSim prints
+    folder = None if out is None else check_path("out", out)
+    if not isinstance(external, ExternalOptions):
+        raise InputError(f"external: is {shown_value(external)} (write ExternalOptions(...))")
+    if processes is not None:
+        check_count("processes", processes)
+    check_observers(observers, compiling)
+    loaded = find_loaded(scenario, overrides)
+    if write and loaded.log.mcap:
+        check_disk(loaded, folder or LOGS)
+    world = build(
+        loaded, commanded=external.has_server, arduplane=external.arduplane, processes=processes
+    )
+    world = check_links(external, loaded, world)
+    for process in world.external_processes:
+        process.check()
+    pacer = RealTimePacer(external.pace) if external.pace else None
+    outcome = "failed"
+    errors: list[Event] = []
+    metrics: dict[str, Any] = {}
+
+    # whatever was opened or started is closed or ended, also after an error
+    with stop_on_signals() as stop, ExitStack() as closing:
+        if isinstance(world.fleet, ParallelFleet):
+            closing.callback(world.fleet.close)
+        server = make_server(external, world)
+        if server:
+            closing.callback(server.close)
+        for line in announcements(external, loaded):
+            external.announce(line)
+        directory = open_run_directory(loaded, world, folder) if write else None
+        if server and directory and external.tlog:
+            server.log_to(directory / TLOG_NAME)
+        meter = MetricsObserver(published=loaded.published)
+        log = [McapRecorder(directory / LOG_NAME)] if directory and loaded.log.mcap else []
+        all_observers: list[Observer] = [meter, *log, *observers, *([server] if server else [])]
+        flight = Flight(world, all_observers, stages)
+        with suppress(RunStopped):  # the flight then ends before its first tick
+            flight.prepare(compiling, stop.check)
+        start = time.perf_counter()
+
+        def finish_metrics() -> None:
+            wall = time.perf_counter() - start
+            metrics.update(
+                finalise(
+                    meter.summary(errors),
+                    network=world.radio.summary(),
+                    external=external_summary(world, server, pacer),
+                    outcome=outcome,
+                    wall_s=wall,
+                    expect=loaded.expect.model_dump(),
+                )
+            )
+
+        def write_metrics(_: object, error: BaseException | None, __: object) -> None:
+            # called last, so that a finished log exists where metrics do; the first error is raised
+            if directory and metrics:
+                try:
+                    write_json(directory / METRICS_NAME, metrics)
+                except InputError:
+                    if error is None:
+                        raise
+                finally:
+                    record_files(directory, LOG_NAME, METRICS_NAME, TLOG_NAME)
+
+        closing.push(write_metrics)
+        for observer in all_observers:
+            observer.begin(world.info)
+            end = partial(observer.end, metrics, errors)
+            closing.callback(partial(stop.interruptible, end) if observer in observers else end)
+        closing.callback(finish_metrics)
+        try:
+            try:
+                for process in world.external_processes:
+                    closing.callback(stop.without_interruption, process.close)
+                    process.start(stop.check, *([] if external.quiet else [external.announce]))
+                gate = TickGate(world.external_control, server, pacer, stop, external.announce)
+                outcome = flight.fly(gate)
+            except RunStopped:
+                outcome = "interrupted"
+            stop.begin_ending()
+        except KeyboardInterrupt:
+            stop.begin_ending()
+            outcome = "interrupted"
+            raise
+        except BaseException as error:
+            stop.begin_ending()
+            now = meter.summary()["simulated_s"]
+            errors.append(Event(now, "error", "run", f"failed: {error!r}"))
+            if directory and (directory / LOG_NAME).exists():
+                error.add_note(f"log: {directory}")
+            raise
+    return Run(loaded, cast("Metrics", metrics), directory)
+
+
+def list_stages(world: World) -> list[tuple[str, str, str, str]]:
+    """List the stages of a flight with log and metrics; see `stages.describe_stages`."""
+    observers = MetricsObserver(), McapRecorder(Path(LOG_NAME))
+    return list(describe_stages(Flight(world, observers).stages))
+
+
+def find_loaded(scenario: Scenario | str | os.PathLike[str], overrides: Sequence[str]) -> Scenario:
+    """Return the scenario of a call.
+
+    Args:
+        scenario: a scenario, or the name or path of one.
+        overrides: `key=value` as for `--set`.
+
+    Raises:
+        InputError: there is none, or overrides are those of a scenario that is loaded already.
+    """
+    texts = check_overrides("overrides", overrides)
+    if not isinstance(scenario, Scenario):
+        return load_scenario(scenario, texts)
+    if texts:
+        raise InputError(
+            f"overrides: {', '.join(texts)}: the scenario is loaded already (give them to "
+            "load_scenario)"
+        )
+    return scenario
+
+
+def check_observers(
+    observers: Sequence[Observer], compiling: Callable[[int, int], None] | None
+) -> None:
+    """Check that observers have their methods, and that `compiling` can be called.
+
+    Raises:
+        InputError: one does not.
+    """
+    if not isinstance(observers, list | tuple):
+        raise InputError(f"observers: {shown_value(observers)} is no list (write [observer])")
+    for index, each in enumerate(observers):
+        check_calls(f"observers[{index}]", each, ("begin", "observe", "end"))
+    if compiling is not None:
+        check_calls("compiling", compiling)
+
+
+def open_run_directory(scenario: Scenario, world: World, out: Path | None) -> Path:
+    """Create a run directory, with the resolved scenario and the code of its laws.
+
+    Args:
+        scenario: that is flown.
+        world: built from it.
+        out: the directory; None: a new one below `logs`.
+    """
+    directory = create_run_directory(scenario.name, out=out)
+    write_run_file(directory, SCENARIO_NAME, world.info.scenario_yaml.encode())
+    for name, code in world.info.code.items():
+        write_run_file(directory, name, code)
+    record_files(directory, SCENARIO_NAME, *world.info.code)
+    return directory

@@ -1,0 +1,387 @@
+"""Step a scenario from Python, in one process and without sockets."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import numbers
+import os
+import time
+import warnings
+import weakref
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NoReturn, Self, SupportsIndex, TypeAlias
+
+from pydantic import Field
+
+from testbed.commands.autopilot_session import MANUAL_ANGLE_LIMIT, AutopilotSession
+from testbed.core.errors import InputError, NotCopiedError
+from testbed.core.records import Event, FbwaCommand, Observer, RunInfo, Sample
+from testbed.flight.loop import Flight
+from testbed.flight.stages import UserStage
+from testbed.flight.world import World
+from testbed.logs.file_record import record_files
+from testbed.logs.recorder import McapRecorder
+from testbed.logs.run_directory import LOG_NAME, METRICS_NAME
+from testbed.metrics import MetricsObserver
+from testbed.metrics.document import finalise, write_json
+from testbed.metrics.model import Metrics
+from testbed.plan.world import build
+from testbed.runs.external_options import external_summary
+from testbed.runs.run import check_observers, find_loaded, open_run_directory
+from testbed.scenario import Scenario, set_seed
+from testbed.scenario.aircraft import ArduPlane
+from testbed.scenario.arguments import check_argument, check_path
+from testbed.scenario.fields import MAX_DURATION_S, Instant, Section
+from testbed.scenario.validate import shown_value
+
+Commands: TypeAlias = "Mapping[str, FbwaCommand[float] | tuple[float, float, float]]"
+
+
+class Simulation:
+    """A scenario that is flown step by step.
+
+    Aircraft with `commanded_by: external` fly the fly-by-wire-A commands of `step`; all others fly
+    as with `testbed run`, to the bit. In a `with` statement the log is closed at its end. If it is
+    never closed, the log is finished with a ResourceWarning when the object or the program ends,
+    and metrics are missing. A forked child must make a simulation of its own; copies and
+    pickles are refused.
+
+    Args:
+        scenario: a scenario, or the name or path of one.
+        overrides: `key=value` as for `--set`; only with a name or path.
+        seed: of all random streams; None: that of the scenario.
+        out: run directory to create, with log, resolved scenario and, after `close`, metrics; None:
+            nothing is written.
+        observers: as of `testbed.run`.
+        compiling: as of `testbed.run`.
+        stages: as of `testbed.run`.
+
+    Attributes:
+        scenario: as resolved, with the seed that is flown.
+        names: of all N aircraft, the leader first.
+        time_s: s, of the present tick.
+        events: all events up to now.
+        outcome: how the flight ended; None: it has not.
+        directory: of the files; None: nothing is written.
+
+    Raises:
+        InputError: the scenario cannot be flown, or has ArduPlanes, which `testbed.run` starts.
+        LogError: the run directory cannot be created.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario | str | os.PathLike[str],
+        overrides: Sequence[str] = (),
+        *,
+        seed: int | None = None,
+        out: str | os.PathLike[str] | None = None,
+        observers: Sequence[Observer] = (),
+        compiling: Callable[[int, int], None] | None = None,
+        stages: Sequence[UserStage] = (),
+    ) -> None:
+        """See the class."""
+        self._stages = tuple(stages)
+        self._out = None if out is None else check_path("out", out)
+        check_observers(observers, compiling)
+        self.scenario = find_loaded(scenario, overrides)
+        for each in self.scenario.aircraft:
+            if isinstance(each.autopilot, ArduPlane):
+                raise InputError(
+                    f"{each.name} has autopilot: ardupilot, a program of its own (fly it with "
+                    "testbed.run, or write autopilot: virtual)"
+                )
+        self._further, self._compiling = tuple(observers), compiling
+        self._flown = False
+        self._open: list[Observer] = []  # observers that have begun
+        self._unclosed: list[McapRecorder] = []  # at most one
+        weakref.finalize(self, _finish_log, self._unclosed, os.getpid())
+        self.reset(seed)
+
+    def reset(self, seed: int | None = None) -> Sample:
+        """Return to the start, and return the state there.
+
+        Args:
+            seed: of the new flight; None: the same as before.
+
+        Raises:
+            InputError: `out` has the log of a flight, and holds one only; or the seed is wrong. The
+                flight then goes on.
+        """
+        if (self._flown or self._open) and self._out is not None:
+            raise InputError(f"{self._out} holds one flight (make another Simulation for the next)")
+        scenario = self.scenario if seed is None else set_seed(self.scenario, seed)
+        world = build(scenario)
+        self._end_observers()
+        self.scenario = scenario
+        meter, events = MetricsObserver(published=self.scenario.published), _Events()
+        self._world, self._meter, self.events = world, meter, events.all
+        self.directory = self._open_directory(world)
+        observers: list[Observer] = [meter, events]
+        if self.directory and self.scenario.log.mcap:
+            self._unclosed.append(McapRecorder(self.directory / LOG_NAME))
+        observers += self._unclosed
+        observers += self._further
+        self._flight = Flight(world, observers, self._stages)
+        self._flight.prepare(self._compiling)
+        for each in observers:
+            each.begin(world.info)
+            self._open.append(each)
+        self.names = world.names
+        self.outcome: str | None = None
+        self._commands = _trimmed_commands(world)
+        self._period = world.clock.autopilot
+        self._begun_s = time.perf_counter()
+        self._ticks = self._flight.ticks(lambda now, due: False)
+        self.time_s = next(self._ticks)
+        return self.state
+
+    def _open_directory(self, world: World) -> Path | None:
+        """Create the run directory of a flight that is built; None: nothing is written."""
+        return open_run_directory(self.scenario, world, self._out) if self._out else None
+
+    def step(self, commands: Commands | None = None, until: float | None = None) -> Sample:
+        """Fly to the next tick of the autopilots, or up to a time, and return the state there.
+
+        Args:
+            commands: by name, an `FbwaCommand` or (pitch, roll, throttle) in rad, rad and 0..1, for
+                aircraft with `commanded_by: external`: angles up to 75° either way, as a stick
+                gives. An aircraft without a new one keeps the last; the first is its trim.
+            until: s, from 0 to a day; the first tick at or after it, and after the present one.
+
+        Raises:
+            InputError: an aircraft takes no commands, a number is out of range, or the flight has
+                ended. The flight then goes on as if there had been no call.
+        """
+        if self.outcome is not None:
+            raise InputError(f"the flight has ended: {self.outcome} at {self.time_s:g} s; reset()")
+        clock = self._world.clock
+        due: float = (clock.ticks(self.time_s) // self._period + 1) * self._period
+        if until is not None:
+            if not (type(until) is float and 0.0 <= until <= MAX_DURATION_S):  # else it is right
+                until = check_argument("until", until, _StepArguments, "until")
+            due = max(due, clock.ticks(until))
+        if commands is not None:
+            self._commands |= self._checked_commands(commands)
+        if due + self._period > clock.ticks(self._world.duration_s):
+            due = math.inf  # the flight ends within the step
+        try:
+            self._advance(due)
+        except BaseException:
+            self.outcome = "failed"
+            raise
+        return self.state
+
+    def _checked_commands(self, commands: Commands) -> dict[AutopilotSession, FbwaCommand[float]]:
+        if not isinstance(commands, Mapping):
+            raise InputError(
+                f"commands: is {shown_value(commands)} (write {{name: (pitch, roll, throttle)}})"
+            )
+        return {self._commandable(name): _checked(name, each) for name, each in commands.items()}
+
+    def _advance(self, due: float) -> None:
+        """Fly to a tick of the base rate, or to the end."""
+        for log in self._unclosed:
+            log.check_process()
+        while self._world.clock.ticks(self.time_s) < due:
+            for session, command in self._commands.items():
+                session.set_manual_command(command)  # a lost one rejects it
+            try:
+                self.time_s = next(self._ticks)
+            except StopIteration:
+                self.outcome = self._flight.ending
+                return
+
+    @property
+    def state(self) -> Sample:
+        """The present state, a `Sample`, whose arrays the next step overwrites.
+
+        Of N aircraft, the leader first, and n followers; SI units and radians:
+
+        - `time_s`, `tick`, `events` since the sample before, `lost` (N,)
+        - `truth` and `estimate`, each a `VehicleState`: `position_ned` (N, 3) m, `velocity_ned`
+          (N, 3) m/s, `acceleration_ned` (N, 3) m/s², `euler` (N, 3) rad, `rates_body` (N, 3)
+          rad/s, `airspeed` and `equivalent_airspeed` (N,) m/s
+        - `air`, an `AirData`: `wind_ned` (N, 3) m/s, `alpha` and `beta` (N,) rad and others
+        - `command`, an `FbwaCommand`: `pitch` and `roll` (N,) rad, `throttle` (N,) 0..1
+        - `surfaces`, an `ActuatorCommand`: `aileron`, `elevator`, `rudder` (N,) −1..1, `throttle`
+        - `formation`, a `FormationState`: `slot_ned` and `error_ned` (n, 3) m, speeds (n,) m/s,
+          courses (n,) rad, `age_s` (n, N) and others
+        - `links`: messages `sent` and `delivered` (n, N)
+
+        `help(testbed.core.records.Sample)` has all fields.
+        """
+        return self._flight.sample(self.time_s)
+
+    @property
+    def commands(self) -> dict[str, FbwaCommand[float]]:
+        """The command of each aircraft that takes commands, by name; first its trim."""
+        return {session.name: command for session, command in self._commands.items()}
+
+    @property
+    def metrics(self) -> Metrics:
+        """The metrics up to now, as in metrics.json; of a flight that goes on, "interrupted"."""
+        return finalise(
+            self._meter.summary(),
+            network=self._world.radio.summary(),
+            external=external_summary(self._world, None, None),
+            outcome=self.outcome or "interrupted",
+            wall_s=time.perf_counter() - self._begun_s,
+            expect=self.scenario.expect.model_dump(),
+        )
+
+    def close(self) -> None:
+        """End the flight, and write log and metrics where there is a directory; repeatable."""
+        self._end_observers()
+
+    def _end_observers(self) -> None:
+        if not self._open:
+            return
+        self._flown = True
+        if self.outcome is None:
+            self.outcome = "interrupted"
+        metrics = self.metrics
+        while self._open:
+            self._open.pop().end(metrics, ())
+        self._unclosed.clear()
+        if self.directory:
+            write_json(self.directory / METRICS_NAME, metrics)
+            record_files(self.directory, LOG_NAME, METRICS_NAME)
+
+    def _commandable(self, name: str) -> AutopilotSession:
+        for session in self._commands:
+            if session.name == name:
+                return session
+        if name not in self.names:
+            shown = name if isinstance(name, str) else shown_value(name)
+            raise InputError(f"{shown}: no such aircraft (there are {', '.join(self.names)})")
+        key = "leader" if name == self.names[0] else f"fleet.{name}"
+        raise InputError(
+            f"{name} takes no commands: write {key}.commanded_by=external into the overrides"
+        )
+
+    def __enter__(self) -> Self:
+        """Return the simulation."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close it."""
+        self.close()
+
+    def __reduce_ex__(self, protocol: SupportsIndex) -> NoReturn:
+        """Refuse copies and pickles: the flight models are outside Python.
+
+        Raises:
+            NotCopiedError: always.
+        """
+        raise NotCopiedError(
+            f"the flight of {self.scenario.name} cannot be copied or pickled (make another one, "
+            "with the same seed, and give it the same commands)"
+        )
+
+    def __repr__(self) -> str:
+        """Describe the flight in one line."""
+        duration = self.scenario.scenario.duration_s
+        return (
+            f"<Simulation: {self.scenario.name}; {self.time_s:g} of {duration:g} s; "
+            f"{self.outcome or 'flying'}>"
+        )
+
+
+def _finish_log(unclosed: list[McapRecorder], process: int) -> None:
+    """Finish the log of a simulation that was not closed; `testbed recover` adds its metrics."""
+    if os.getpid() != process:  # a fork, which has no part in the log
+        return
+    for recorder in unclosed:
+        warnings.warn(
+            f"{recorder.path}: its Simulation was not closed: the log has no metrics (write `with "
+            "testbed.Simulation(...) as simulation:`, or call close(); testbed recover adds them)",
+            ResourceWarning,
+            stacklevel=1,
+        )
+        recorder.close()
+
+
+class _StepArguments(Section):
+    until: Instant = Field(description="Time of the flight, s.")
+
+
+class _Events:
+    """Collect the events of a flight."""
+
+    zero_copy = True
+
+    def __init__(self) -> None:
+        self.all: list[Event] = []
+
+    def begin(self, info: RunInfo) -> None:
+        pass
+
+    def observe(self, sample: Sample) -> None:
+        self.all.extend(sample.events)
+
+    def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:
+        self.all.extend(events)
+
+
+def _trimmed_commands(world: World) -> dict[AutopilotSession, FbwaCommand[float]]:
+    """Return the first command of each aircraft that takes commands."""
+    if world.external_control is None:
+        return {}
+    return {
+        each: each.trim
+        for each in world.external_control.vehicles
+        if isinstance(each, AutopilotSession) and each.external
+    }
+
+
+def _checked(
+    name: str, command: FbwaCommand[float] | tuple[float, float, float]
+) -> FbwaCommand[float]:
+    """Return a command as numbers.
+
+    Raises:
+        InputError: it does not have three numbers, or one is out of range.
+    """
+    try:
+        pitch, roll, throttle = command
+        low, high = -MANUAL_ANGLE_LIMIT, MANUAL_ANGLE_LIMIT
+        if low <= pitch <= high and low <= roll <= high and 0.0 <= throttle <= 1.0:
+            return FbwaCommand(float(pitch), float(roll), float(throttle))
+    except (TypeError, ValueError, OverflowError):
+        pass
+    raise InputError(_command_error(name, command))
+
+
+def _real(value: object) -> float:
+    """Return a value as a number; NaN: it is none."""
+    try:
+        return float(value) if isinstance(value, numbers.Real) else math.nan
+    except OverflowError:
+        return math.inf
+
+
+def _command_error(name: str, command: object) -> str:
+    """Describe what is wrong with a command."""
+    parts = FbwaCommand._fields
+    if not isinstance(command, Iterable) or isinstance(command, str | bytes | Mapping):
+        command = ()
+    values = list(itertools.islice(command, len(parts) + 1))
+    if len(values) != len(parts):
+        return f"{name}: write three numbers: pitch and roll in rad, throttle from 0 to 1"
+    for part, value in zip(parts, values, strict=True):
+        limit = 1.0 if part == "throttle" else MANUAL_ANGLE_LIMIT
+        low = 0.0 if part == "throttle" else -limit
+        number = _real(value)
+        if not low <= number <= limit:
+            break
+    what = f"{name}: {part}: is {shown_value(value)}"
+    if not math.isfinite(number):
+        return f"{what} (write a finite number)"
+    if part == "throttle":
+        hint = f"; {number:g} % is {number / 100:g}" if 1.0 < number <= 100.0 else ""
+        return f"{what} (write a number from 0 to 1{hint})"
+    hint = f"; {number:g}° is {math.radians(number):.3g} rad" if abs(number) <= 180.0 else ""
+    return f"{what} (write rad from {low:.4g} to {limit:.4g}, {math.degrees(limit):g}°{hint})"

@@ -1,0 +1,257 @@
+"""Step one aircraft with its virtual autopilot from Python."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any, TypeVar
+
+from testbed.core.errors import InputError
+from testbed.core.records import (
+    ActuatorCommand,
+    AirData,
+    Event,
+    FbwaCommand,
+    VehicleState,
+)
+from testbed.runs.simulation import Simulation
+from testbed.scenario import ScenarioError, loads
+from testbed.scenario import aircraft as scenario_aircraft
+from testbed.scenario.arguments import check_argument, to_plain
+from testbed.scenario.fields import Section
+from testbed.scenario.sections import Header, Rates, Sections
+from testbed.vehicle.trim import TrimError
+
+_ValuesT = TypeVar("_ValuesT", VehicleState, AirData, ActuatorCommand)
+# Arguments: the section and the key of the files that have their types and bounds, and the keys of
+# the scenario that is made from them.
+_ARGUMENTS: Mapping[str, tuple[type[Section], str, tuple[str, ...]]] = {
+    "aircraft": (scenario_aircraft.AircraftSection, "aircraft", ("leader", "aircraft")),
+    "airspeed_mps": (scenario_aircraft.Virtual, "speed_mps", ("leader", "path", "speed_mps")),
+    "altitude_m": (scenario_aircraft.Start, "altitude_m", ("leader", "start", "altitude_m")),
+    "course_deg": (scenario_aircraft.Start, "course_deg", ("leader", "start", "course_deg")),
+    "air": (Sections, "air", ("air",)),
+    "sensors": (scenario_aircraft.AircraftSection, "sensors", ("fleet", "0", "sensors")),
+    "tune": (scenario_aircraft.AircraftSection, "tune", ("fleet", "0", "tune")),
+    "seed": (Header, "seed", ("scenario", "seed")),
+    "duration_s": (Header, "duration_s", ("scenario", "duration_s")),
+    "physics_hz": (Rates, "physics_hz", ("rates", "physics_hz")),
+}
+_AUTOPILOT_HZ = Rates().autopilot_hz
+_NAME = "aircraft"
+_AHEAD_M = 50.0  # of a leader that is a formula: a scenario has one
+
+
+class Aircraft:
+    """An aircraft that flies pitch, roll and throttle, as ArduPlane in fly-by-wire A.
+
+    It begins at the origin, in level flight at its airspeed.
+
+    Args:
+        aircraft: airframe: a name in aircraft/, or the path of a folder.
+        airspeed_mps: at the start, m/s.
+        altitude_m: at the start, above the ground, m.
+        course_deg: at the start, degrees clockwise from north.
+        air: wind, turbulence and gusts, as the section `air` of a scenario; None: still air.
+        sensors: as the key `sensors` of a scenario, such as "pixhawk"; `estimate` has their errors.
+        tune: autopilot parameters: <tune>.param of the airframe, or the path of a file.
+        seed: of turbulence and sensor errors.
+        duration_s: after which the flight ends, s.
+        physics_hz: steps of the flight model per second, a multiple of 50, up to 10,000; an
+            aircraft with fast modes needs more, which an error or an event says.
+        compiling: as of `testbed.run`.
+
+    Attributes:
+        simulation: the flight; the aircraft is number 1 in its records.
+
+    Raises:
+        InputError: an argument, which the text names, is wrong, or the aircraft has no level
+            flight at this airspeed.
+    """
+
+    def __init__(
+        self,
+        aircraft: str,
+        *,
+        airspeed_mps: float,
+        altitude_m: float = 100.0,
+        course_deg: float = 0.0,
+        air: Mapping[str, Any] | None = None,
+        sensors: str | Mapping[str, Any] = "truth",
+        tune: str = "autopilot",
+        seed: int = 1,
+        duration_s: float = 3600.0,
+        physics_hz: int = 100,
+        compiling: Callable[[int, int], None] | None = None,
+    ) -> None:
+        """See the class."""
+        given: dict[str, object] = {
+            "aircraft": aircraft,
+            "airspeed_mps": airspeed_mps,
+            "altitude_m": altitude_m,
+            "course_deg": course_deg,
+            "air": {} if air is None else air,
+            "sensors": sensors,
+            "tune": tune,
+            "seed": seed,
+            "duration_s": duration_s,
+            "physics_hz": physics_hz,
+        }
+        for name, value in given.items():
+            model, key, _ = _ARGUMENTS[name]
+            check_argument(name, value, model, key)
+        if physics_hz % _AUTOPILOT_HZ:
+            raise InputError(
+                f"physics_hz: is {physics_hz} (write a multiple of {_AUTOPILOT_HZ}, the rate of "
+                "the autopilot)"
+            )
+        with _argument_errors(f"{airspeed_mps:g}", altitude_m):
+            text = json.dumps(_scenario(to_plain("", given)))
+            loaded = loads(text, source="testbed.Aircraft")
+            self.simulation = Simulation(loaded, compiling=compiling)
+        self._sample = self.simulation.state
+
+    def step(
+        self, pitch: float, roll: float, throttle: float, until: float | None = None
+    ) -> VehicleState:
+        """Fly a command to the next tick of the autopilot, or up to a time; return the motion.
+
+        Args:
+            pitch: rad, up to 75° either way.
+            roll: rad, up to 75° either way.
+            throttle: 0..1.
+            until: s, from 0 to a day; the first tick at or after it, and after the present one.
+
+        Raises:
+            InputError: a number is out of range, or the flight has ended. The flight then goes on
+                as if there had been no call.
+        """
+        try:
+            self._sample = self.simulation.step({_NAME: FbwaCommand(pitch, roll, throttle)}, until)
+        except InputError as error:
+            raise InputError(str(error).removeprefix(f"{_NAME}: ")) from None
+        return self.truth
+
+    def reset(self, seed: int | None = None) -> VehicleState:
+        """Return to the start, with another seed if there is one; return the motion there."""
+        self._sample = self.simulation.reset(seed)
+        return self.truth
+
+    @property
+    def truth(self) -> VehicleState:
+        """The motion: position, velocity, acceleration, attitude, rates, airspeeds."""
+        return _row(self._sample.truth)
+
+    @property
+    def estimate(self) -> VehicleState:
+        """The same as the autopilot estimates it."""
+        return _row(self._sample.estimate)
+
+    @property
+    def air(self) -> AirData:
+        """Wind, angles of attack and sideslip, propeller and battery."""
+        return _row(self._sample.air)
+
+    @property
+    def surfaces(self) -> ActuatorCommand:
+        """Control surfaces, −1..1, and throttle, 0..1."""
+        return _row(self._sample.surfaces)
+
+    @property
+    def time_s(self) -> float:
+        """Time since the start, s."""
+        return self.simulation.time_s
+
+    @property
+    def outcome(self) -> str | None:
+        """How the flight ended; None: it has not."""
+        return self.simulation.outcome
+
+    @property
+    def events(self) -> list[Event]:
+        """All events up to now."""
+        return self.simulation.events
+
+    def __repr__(self) -> str:
+        """Describe the flight in one line."""
+        name = self.simulation.scenario.fleet[0].aircraft
+        return f"<Aircraft: {name}; {self.time_s:g} s; {self.outcome or 'flying'}>"
+
+
+def _scenario(arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the scenario of one aircraft, as a file has it, from checked arguments."""
+    aircraft, airspeed = arguments["aircraft"], arguments["airspeed_mps"]
+    course = math.radians(arguments["course_deg"])
+    behind = [-_AHEAD_M, 0, 0]
+    return {
+        "scenario": {
+            "schema": 2,
+            "name": _NAME,
+            "duration_s": arguments["duration_s"],
+            "seed": arguments["seed"],
+        },
+        "rates": {"physics_hz": arguments["physics_hz"]},
+        "leader": {
+            "aircraft": aircraft,
+            "start": {
+                "north_m": _AHEAD_M * math.cos(course),
+                "east_m": _AHEAD_M * math.sin(course),
+                "altitude_m": arguments["altitude_m"],
+                "course_deg": arguments["course_deg"],
+            },
+            "path": {"kind": "virtual", "speed_mps": airspeed, "curve": {"kind": "straight"}},
+        },
+        "fleet": [
+            {
+                "name": _NAME,
+                "aircraft": aircraft,
+                "start_m": behind,
+                "commanded_by": "external",
+                "sensors": arguments["sensors"],
+                "tune": arguments["tune"],
+            }
+        ],
+        "formation": {
+            "offsets_m": {_NAME: behind},
+            "leader_gains": {_NAME: 1},
+            "speed_mps": [0.5 * airspeed, 2.0 * airspeed],
+        },
+        "air": arguments["air"],
+        "limits": {"formation_lost_m": None, "min_separation_m": 0},
+    }
+
+
+@contextmanager
+def _argument_errors(airspeed: str, altitude_m: float) -> Iterator[None]:
+    """Name the argument in errors of the scenario that is made from the arguments.
+
+    Raises:
+        InputError: in place of these errors, with the first of them.
+    """
+    try:
+        yield
+    except TrimError as error:
+        reason = str(error).rpartition("no steady flight; ")[2]
+        raise InputError(
+            f"airspeed_mps: {airspeed} m/s, {altitude_m:g} m above the ground: no level flight: "
+            f"{reason}"
+        ) from None
+    except ScenarioError as error:
+        first = error.problems[0]
+        for name, (_, _, keys) in _ARGUMENTS.items():
+            if first.path[: len(keys)] == keys:
+                place = ".".join((name, *first.path[len(keys) :]))
+                raise InputError(f"{place}: {first.text}") from None
+        raise InputError(str(first)) from None
+    except InputError as error:
+        text = str(error)
+        if "below the ground" in text:
+            raise InputError(f"altitude_m: {text}") from None
+        raise InputError(text.replace("rates.physics_hz", "physics_hz")) from None
+
+
+def _row(values: _ValuesT) -> _ValuesT:
+    """Copy the aircraft's row of arrays (2, ...)."""
+    return type(values)(*(each[1].copy() for each in values))

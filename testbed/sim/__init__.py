@@ -1,1 +1,0 @@
-"""The world of a run, the clock, and the loop that flies it."""

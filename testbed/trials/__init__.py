@@ -1,0 +1,1 @@
+"""Measurements with parts of a flight: probes, steps, margins."""
