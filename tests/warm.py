@@ -10,7 +10,10 @@ from testbed.scenario import load_scenario, set_duration
 
 SCENARIOS = {
     "sensors": ("simulation-3-pixhawk",),  # takes as long as all the rest
-    "flights": ("simulation-3", "turbulence-moderate", "close-formation-wake", "vee-30"),
+    "flights": (
+        *("simulation-3", "turbulence-moderate", "close-formation-wake"),
+        "ideal-figure-eight",  # has a virtual leader
+    ),
 }
 for name in SCENARIOS[sys.argv[1]]:
     run(set_duration(load_scenario(name, ["log.mcap=false"]), 0.5), write=False)
