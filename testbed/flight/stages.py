@@ -115,18 +115,35 @@ class UserStage(NamedTuple):
     step: Callable[[float, FlightRecords], object]
 
 
+def check_stages(stages: object) -> tuple[UserStage, ...]:
+    """Return the stages of a user's call.
+
+    Raises:
+        InputError: they are no list of stages.
+    """
+    if isinstance(stages, list | tuple) and all(map(_is_stage, stages)):
+        return tuple(stages)
+    raise InputError(
+        "stages: write a list of testbed.UserStage(name, after, step): two texts and a function"
+    )
+
+
+def _is_stage(value: object) -> bool:
+    if not isinstance(value, UserStage):
+        return False
+    return isinstance(value.name, str) and isinstance(value.after, str) and callable(value.step)
+
+
 def insert_stages(
     stages: Sequence[Stage], inserted: Sequence[UserStage], records: FlightRecords
 ) -> tuple[Stage, ...]:
     """Return the stages of a flight with those of the user.
 
     Raises:
-        InputError: one is to follow a stage that the flight does not have, or is no stage.
+        InputError: one is to follow a stage that the flight does not have.
     """
     found = list(stages)
     for user in inserted:
-        if not (isinstance(user, UserStage) and callable(user.step)):
-            raise InputError("stages: write testbed.UserStage(name, after, step), step a function")
         names = [each.name for each in found]
         if user.after not in names:
             known = ", ".join(dict.fromkeys(names))

@@ -16,7 +16,7 @@ from testbed.core.errors import InputError
 from testbed.core.files import reserve_standard_descriptors
 from testbed.core.records import Event, Observer
 from testbed.flight.loop import Flight
-from testbed.flight.stages import UserStage, describe_stages
+from testbed.flight.stages import UserStage, check_stages, describe_stages
 from testbed.flight.world import World
 from testbed.logs.file_record import record_files
 from testbed.logs.recorder import McapRecorder
@@ -143,6 +143,7 @@ def run(
     if processes is not None:
         check_count("processes", processes)
     check_observers(observers, compiling)
+    stages = check_stages(stages)
     loaded = find_loaded(scenario, overrides)
     if write and loaded.log.mcap:
         check_disk(loaded, folder or LOGS)

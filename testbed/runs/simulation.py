@@ -19,7 +19,7 @@ from testbed.commands.autopilot_session import MANUAL_ANGLE_LIMIT, AutopilotSess
 from testbed.core.errors import InputError, NotCopiedError
 from testbed.core.records import Event, FbwaCommand, Observer, RunInfo, Sample
 from testbed.flight.loop import Flight
-from testbed.flight.stages import UserStage
+from testbed.flight.stages import UserStage, check_stages
 from testbed.flight.world import World
 from testbed.logs.file_record import record_files
 from testbed.logs.recorder import McapRecorder
@@ -83,7 +83,7 @@ class Simulation:
         stages: Sequence[UserStage] = (),
     ) -> None:
         """See the class."""
-        self._stages = tuple(stages)
+        self._stages = check_stages(stages)
         self._out = None if out is None else check_path("out", out)
         check_observers(observers, compiling)
         self.scenario = find_loaded(scenario, overrides)

@@ -93,6 +93,17 @@ STEPS = {
 }
 
 WHOLE = set_duration(load_scenario("simulation-3", ["log.mcap=false"]), 0.1)
+
+
+def begin_episode(**arguments):
+    """Make an environment and begin an episode, which is closed: its log is then complete."""
+    env = HoldSlotEnv(**arguments)
+    try:
+        env.reset(seed=1)
+    finally:
+        env.close()
+
+
 MAKES = {
     **{
         f"Aircraft {name}": lambda v, name=name: testbed.Aircraft(
@@ -101,16 +112,18 @@ MAKES = {
         for name in (*_ARGUMENTS, "compiling")
     },
     **{
-        f"HoldSlotEnv {name}": lambda v, name=name: HoldSlotEnv(**{name: v}).reset(seed=1)
+        f"HoldSlotEnv {name}": lambda v, name=name: begin_episode(**{name: v})
         for name in (*Task.model_fields, "follower", "randomize", "render_mode")
     },
     **{
-        f"Simulation {name}": lambda v, name=name: testbed.Simulation(WHOLE, **{name: v})
-        for name in ("overrides", "seed", "out", "observers", "compiling")
+        f"Simulation {name}": lambda v, name=name: testbed.Simulation(WHOLE, **{name: v}).close()
+        for name in ("overrides", "seed", "out", "observers", "compiling", "stages")
     },
     **{
         f"run {name}": lambda v, name=name: testbed.run(WHOLE, **{"write": False, name: v})
-        for name in ("overrides", "out", "observers", "external", "processes", "compiling")
+        for name in (
+            *("overrides", "out", "observers", "external", "processes", "compiling", "stages"),
+        )
     },
     **{
         f"ExternalOptions {each.name}": lambda v, name=each.name: ExternalOptions(**{name: v})

@@ -1,6 +1,7 @@
 """A flight is a list of stages: printed as documented, with those of the user."""
 
 import re
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -66,8 +67,10 @@ def test_stage_without_its_place_is_refused():
     lost = testbed.UserStage("mine", "fly by wires", print)
     with pytest.raises(InputError, match=r"mine: this flight has no stage 'fly by wires' .*fly by"):
         testbed.run(short(), write=False, stages=[lost])
-    with pytest.raises(InputError, match=r"write testbed\.UserStage"):
-        testbed.run(short(), write=False, stages=[print])
+    for wrong in ([print], 5, None, "fly", [testbed.UserStage(1, "fly by wire", print)]):
+        for call in (testbed.Simulation, partial(testbed.run, write=False)):
+            with pytest.raises(InputError, match=r"write a list of testbed\.UserStage"):
+                call(short(), stages=wrong)
 
 
 def test_error_of_the_users_stage_ends_the_flight():
