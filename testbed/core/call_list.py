@@ -213,7 +213,7 @@ def _numba_types() -> Any:  # noqa: ANN401
 
 
 def _to_words(value: Any, kind: Any) -> list[int]:  # noqa: ANN401 - numba's
-    """Return an argument of a type as words, in the order of `_load`."""
+    """Return an argument of a type as words, in the order of `_WordReader`."""
     types = _numba_types()
 
     if isinstance(kind, types.Array):

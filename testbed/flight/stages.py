@@ -82,7 +82,7 @@ class Stage:
         """What runs it."""
         if self.call is None:
             return "Python"
-        return "compiled" if self.then is None else "compiled; Python where it says so"
+        return "compiled" if self.then is None else "compiled, then Python if due"
 
 
 class FlightRecords(NamedTuple):

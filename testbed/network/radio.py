@@ -127,10 +127,10 @@ class Radio:
         )
 
     def send_stage(self, truth: VehicleState) -> tuple[Call | None, Callable[[float], None]]:
-        """Return the call that sends the next broadcast, and what follows it where it says so.
+        """Return the call that sends the next broadcast, and the step that enlarges a full queue.
 
-        Where sending is Python's, the call is None. `truth` is the motion of all N aircraft, which
-        fading depends on.
+        Where Python sends, the call is None and the step sends. `truth` is the motion of all N
+        aircraft, which fading depends on.
         """
         if self._has_losses or self._encoder is not None:
             return None, lambda now: self._send_broadcast(truth)
