@@ -59,7 +59,9 @@ class FlightPool:
         retries: deque[FlightTask] = deque()
         attempts: Counter[int] = Counter()
         running: dict[Future[FlightResult], FlightTask] = {}
-        done: queue.SimpleQueue[Future[FlightResult]] = queue.SimpleQueue()
+        # not a SimpleQueue: in CPython 3.11 its `get` waits for ever after a signal whose handler
+        # returns later than the timeout
+        done: queue.Queue[Future[FlightResult]] = queue.Queue()
         more = True
         while more or retries or running:
             capacity = self._workers.capacity()  # also notices a cluster that has gone

@@ -5,6 +5,8 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
+import time
 from concurrent.futures import Future
 from pathlib import Path
 
@@ -106,6 +108,44 @@ def test_pool_worker_ends_with_its_parent(tmp_path, number):
     assert local_workers._PARENT_POLL_S + local_workers._GRACE_S <= 6.0
     if number != signal.SIGKILL:
         assert errors == b""
+
+
+class EndlessTasks:
+    """Workers whose tasks never end."""
+
+    def capacity(self):
+        return 1
+
+    def submit(self, task):
+        return Future()
+
+
+def test_pool_stops_by_a_signal_that_is_handled_later_than_its_wait():
+    """With `queue.SimpleQueue` in place of `queue.Queue` this waits until the alarm."""
+
+    def handle(number, frame):
+        time.sleep(3 * flight_pool.POLL_S)  # as on a machine with much other load
+        stop.handle(number, frame)
+
+    def fail(number, frame):
+        raise AssertionError("the pool still waits")
+
+    stop = StopRequest()
+    before = {each: signal.getsignal(each) for each in (signal.SIGUSR1, signal.SIGALRM)}
+    signal.signal(signal.SIGUSR1, handle)
+    signal.signal(signal.SIGALRM, fail)
+    sender = threading.Timer(flight_pool.POLL_S / 2, os.kill, (os.getpid(), signal.SIGUSR1))
+    try:
+        signal.alarm(10)
+        sender.start()
+        with pytest.raises(KeyboardInterrupt):
+            next(flight_pool.FlightPool(EndlessTasks(), stop).run([FlightTask(0, ("echo", "a"))]))
+    finally:
+        signal.alarm(0)
+        sender.join()
+        stop.cancel_notice()
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 SAFE = """
