@@ -31,6 +31,9 @@ class TickGate:
         pacer: of the run; None: as fast as possible.
         stop: whether a stop was requested.
         announce: receives messages to the user during long waits.
+
+    Attributes:
+        each_tick: whether it is to be called before each tick; else there is only the stop.
     """
 
     def __init__(
@@ -44,7 +47,7 @@ class TickGate:
         """Start before the first tick."""
         self._control, self._server, self._pacer, self._stop = control, server, pacer, stop
         self._announce = announce
-        self._open = control is None and server is None and pacer is None
+        self.each_tick = not (control is None and server is None and pacer is None)
         self._sample_s: float | None = None
 
     def __call__(self, now: float, due: TickActions) -> bool:
@@ -53,7 +56,7 @@ class TickGate:
         Raises:
             ExternalProgramLost: no lockstep command came in time.
         """
-        if self._open:
+        if not self.each_tick:
             return self._stop()
         if self._control is not None and self._sample_s is not None:
             self._control.expect_commands(self._sample_s)

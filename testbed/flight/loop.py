@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Protocol, Self
+from typing import Protocol, Self, TypeAlias
 
 import numpy as np
 
@@ -26,7 +27,6 @@ from testbed.flight.schedule import TickActions
 from testbed.flight.stages import (
     FlightRecords,
     Part,
-    Programs,
     Stage,
     StageRate,
     UserStage,
@@ -40,14 +40,18 @@ from testbed.flight.steps import (
     has_events,
     write_messages,
 )
+from testbed.flight.tick_loop import BLOCK, TickInputs, TickLoop
+from testbed.flight.vehicles import Move
 from testbed.flight.world import World
 from testbed.formation.slots import write_formation_state
 from testbed.network.outages import OutageEvents
 
+Ended: TypeAlias = Callable[[float, TickActions], bool]
+# Where a flight waits for commands of its caller.
+PAUSE = Stage(Part.SENSE, StageRate.TICK, "wait for the caller")
 
-def fly(
-    world: World, observers: Sequence[Observer], ended: Callable[[float, TickActions], bool]
-) -> str:
+
+def fly(world: World, observers: Sequence[Observer], ended: Ended) -> str:
     """Fly a world to its end; see `Flight.fly`."""
     flight = Flight(world, observers)
     flight.prepare()
@@ -83,9 +87,8 @@ class Flight:
         self._truth = fields_of(VehicleState, aircraft["truth"])
         self._estimate = fields_of(VehicleState, aircraft["estimate"])
         self._exact = world.estimators.exact
-        self._sending: BoolArray | None = None  # what `set_senders` has set
-        self._planned_s = np.full(n + 1, np.nan)  # transmission times; NaN: at the tick
-        self._own_times = False  # some are not
+        steps, needed = np.zeros(1, dtype=np.intp), np.ones(n + 1, dtype=bool)
+        self._inputs = TickInputs(self._radio.senders, np.full(n + 1, np.nan), steps, needed)
         built = world.built_control
         self._link_monitor = LinkMonitor(
             world.names,
@@ -115,11 +118,16 @@ class Flight:
         self.ending: str | None = None
         records = FlightRecords(aircraft, followers, links)
         self.stages = insert_stages(tuple(self._make_stages()), stages, records)
-        self._programs = Programs(self.stages, tuple(Part))
-        self._sense = Programs(self.stages, (Part.SENSE,))
-        self._rest = Programs(self.stages, (Part.CONTROL, Part.ACTUATE, Part.OBSERVE))
-        self._steering = Programs(self.stages, (Part.CONTROL,))
+        self._loop = self._make_loop(self.stages)
+        sense = [each for each in self.stages if each.part is Part.SENSE]
+        rest = self.stages[len(sense) :]
+        self._paused_loop = self._make_loop((*sense, PAUSE, *rest))
+        control = (each for each in rest if each.part is Part.CONTROL)
+        self._steering = self._make_loop((*sense, *control))
         self._entries = *world.entries, *registered()
+
+    def _make_loop(self, stages: Sequence[Stage]) -> TickLoop:
+        return TickLoop(stages, self._inputs, self._world.clock.base_rate_hz)
 
     def _make_stages(self) -> Iterator[Stage]:
         """Yield the stages of a tick."""
@@ -127,6 +135,11 @@ class Flight:
         yield from self._controlling()
         yield from self._actuating()
         yield from self._observing()
+        move = Move(self._inputs.steps, self._inputs.needed)
+        for each in self._world.vehicles:
+            steps = each.move_steps(move)
+            name = "move to the next tick"
+            yield from make_stages(Part.MOVE, StageRate.TICK, name, steps)
 
     def _sensing(self) -> Iterator[Stage]:
         """Wind, faults that begin and end, sensor errors and estimates."""
@@ -159,7 +172,8 @@ class Flight:
         """Messages, the formation law with its middle loop, the leader's guidance."""
         world, part, radio = self._world, Part.CONTROL, self._radio
         aircraft = world.aircraft
-        call = Call(write_messages, aircraft, radio.messages, self._planned_s, radio.sent_s, NOW)
+        times = self._inputs.planned_s, radio.sent_s
+        call = Call(write_messages, aircraft, radio.messages, *times, NOW)
         yield Stage(part, StageRate.BROADCAST, "write messages", call=call)
         send, then = radio.send_stage(self._truth)
         yield Stage(part, StageRate.BROADCAST, "send messages", call=send, then=then)
@@ -269,23 +283,23 @@ class Flight:
                 each.call.bind()
         self._world.estimators.warm_up(self._world.aircraft)
 
-    def fly(self, ended: Callable[[float, TickActions], bool]) -> str:
+    def fly(self, ended: Ended) -> str:
         """Fly to the end, after `prepare`; observers get a sample at the log rate.
 
         Args:
-            ended: called before each tick with its time, s, and what is due; it may wait, and
-                true ends the run.
+            ended: called before each tick with its time, s, and what is due, or before a block of
+                ticks if its attribute `each_tick` is false; it may wait, and true ends the run.
 
         Returns:
             The outcome: "completed", "lost", "envelope_exceeded", "formation_lost",
             "separation_lost" or "interrupted".
         """
-        for now, due in self._ticks(ended):
-            self._programs.run(due, now)
+        for _ in self._run(self._loop, ended):
+            pass
         assert self.ending is not None
         return self.ending
 
-    def ticks(self, ended: Callable[[float, TickActions], bool]) -> Iterator[float]:
+    def ticks(self, ended: Ended) -> Iterator[float]:
         """Fly tick by tick, after `prepare`; `ending` is the outcome when the iterator has ended.
 
         Args:
@@ -294,50 +308,42 @@ class Flight:
         Yields:
             The time of a tick, s, when its estimates are written, before its control.
         """
-        for now, due in self._ticks(ended):
-            self._sense.run(due, now)
-            yield now
-            self._rest.run(due, now)
+        return self._run(self._paused_loop, ended)
 
-    def _ticks(
-        self, ended: Callable[[float, TickActions], bool]
-    ) -> Iterator[tuple[float, TickActions]]:
-        """Yield time, s, and actions of each tick, whose stages are then run; step the vehicles."""
-        world = self._world
-        last = world.clock.ticks(world.duration_s)
-        for tick, due, ticks, needed in world.clock.schedule(
-            world.duration_s, all_motions=world.radio.needs_all_positions
-        ):
-            now = world.clock.time_s(tick)
-            if ended(now, due):
+    def _run(self, loop: TickLoop, ended: Ended) -> Iterator[float]:
+        """Run blocks of ticks to the end of the flight; yield the time of each pause, s."""
+        clock = self._world.clock
+        last = clock.ticks(self._world.duration_s)
+        size = 1 if getattr(ended, "each_tick", True) else BLOCK
+        schedule = clock.schedule(
+            self._world.duration_s, all_motions=self._world.radio.needs_all_positions
+        )
+        while rows := list(itertools.islice(schedule, size)):
+            tick, due, *_ = rows[0]
+            if ended(clock.time_s(tick), due):
                 self.ending = "interrupted"
                 return
-            self._tick = tick
-            self.set_senders(due)
-            yield now, due
-            if self.ending or tick + ticks > last:
-                break
-            for vehicles in world.vehicles:
-                vehicles.step(ticks, needed)
-        self.ending = self.ending or self.outcome
+            loop.load(rows, last)
+            while (stage := loop.run()) is not None:
+                if stage is PAUSE:
+                    yield loop.time_s
+                elif stage.then is not None:
+                    stage.then(loop.time_s)
+                    if size > 1 and self.ending is None and ended(loop.time_s, due):
+                        self.ending = "interrupted"
+                loop.resume(ending=self.ending is not None)
+            if self.ending:
+                return
+        self.ending = self.outcome
 
     def steer(self, now: float, due: TickActions) -> None:
         """Sense and control at a time, s, without stepping autopilots: for measurements."""
-        self.set_senders(due)
-        self._sense.run(due, now)
-        self._steering.run(due, now)
-
-    def set_senders(self, due: TickActions) -> None:
-        """Set which aircraft transmit at a tick, and when."""
-        if due.broadcast is not self._sending and due.broadcast is not None:
-            self._sending = due.broadcast
-            self._radio.senders[:] = due.broadcast
-        if due.sent_s is not None:
-            self._planned_s[:] = due.sent_s
-            self._own_times = True
-        elif self._own_times:
-            self._planned_s[:] = np.nan
-            self._own_times = False
+        tick = self._world.clock.ticks(now)
+        self._steering.load([(tick, due, 0, ())], tick)
+        while (stage := self._steering.run()) is not None:
+            if stage.then is not None:
+                stage.then(now)
+            self._steering.resume()
 
     def sample(self, now: float) -> Sample:
         """Return the state at a tick that `ticks` has yielded, as views of the records.
@@ -433,7 +439,8 @@ class Flight:
                 formation = fields_of(FormationState, masked, age_s=world.links["age_s"])
                 sample = sample._replace(formation=formation, records=records)
         events = self._events.take()
-        self._observers.observe(sample._replace(tick=self._tick, time_s=now, events=events))
+        tick = self._world.clock.ticks(now)
+        self._observers.observe(sample._replace(tick=tick, time_s=now, events=events))
         if self._losses.terminate:
             self.ending = "lost"
         elif world.envelope.terminate or world.proximity.terminate:
