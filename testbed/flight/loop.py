@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Protocol, Self, TypeAlias
 
@@ -40,7 +39,7 @@ from testbed.flight.steps import (
     has_events,
     write_messages,
 )
-from testbed.flight.tick_loop import BLOCK, TickInputs, TickLoop
+from testbed.flight.tick_loop import LOOK_TICKS, TickInputs, TickLoop
 from testbed.flight.vehicles import Move
 from testbed.flight.world import World
 from testbed.formation.slots import write_formation_state
@@ -312,34 +311,32 @@ class Flight:
 
     def _run(self, loop: TickLoop, ended: Ended) -> Iterator[float]:
         """Run blocks of ticks to the end of the flight; yield the time of each pause, s."""
-        clock = self._world.clock
-        last = clock.ticks(self._world.duration_s)
-        size = 1 if getattr(ended, "each_tick", True) else BLOCK
-        schedule = clock.schedule(
-            self._world.duration_s, all_motions=self._world.radio.needs_all_positions
-        )
-        while rows := list(itertools.islice(schedule, size)):
-            tick, due, *_ = rows[0]
-            if ended(clock.time_s(tick), due):
-                self.ending = "interrupted"
-                return
-            loop.load(rows, last)
-            while (stage := loop.run()) is not None:
-                if stage is PAUSE:
-                    yield loop.time_s
-                elif stage.then is not None:
-                    stage.then(loop.time_s)
-                    if size > 1 and self.ending is None and ended(loop.time_s, due):
-                        self.ending = "interrupted"
-                loop.resume(ending=self.ending is not None)
-            if self.ending:
-                return
-        self.ending = self.outcome
+        world, look = self._world, 1 if getattr(ended, "each_tick", True) else LOOK_TICKS
+        last = world.clock.ticks(world.duration_s)
+        for rows, period in world.clock.blocks(all_motions=world.radio.needs_all_positions):
+            loop.load(rows, period, last)
+            while loop.in_block:
+                if ended(loop.time_s, loop.due):
+                    self.ending = "interrupted"
+                    return
+                loop.limit(look)
+                while (stage := loop.run()) is not None:
+                    if stage is PAUSE:
+                        yield loop.time_s
+                    elif stage.then is not None:
+                        stage.then(loop.time_s)
+                        if look > 1 and self.ending is None and ended(loop.time_s, loop.due):
+                            self.ending = "interrupted"
+                    loop.resume(ending=self.ending is not None)
+            if loop.done:
+                break
+        self.ending = self.ending or self.outcome
 
     def steer(self, now: float, due: TickActions) -> None:
         """Sense and control at a time, s, without stepping autopilots: for measurements."""
         tick = self._world.clock.ticks(now)
-        self._steering.load([(tick, due, 0, ())], tick)
+        self._steering.load([(tick, due, 0, ())], 0, tick)
+        self._steering.limit(1)
         while (stage := self._steering.run()) is not None:
             if stage.then is not None:
                 stage.then(now)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from math import nan
 from typing import Any, NamedTuple, TypeAlias
 
@@ -11,15 +11,14 @@ import numpy as np
 from testbed.core.call_list import Call, Words, call_words
 from testbed.core.compile import entry, is_interpreted
 from testbed.core.records import Array, BoolArray, Indices, Records, allocate
-from testbed.flight.schedule import TickActions
+from testbed.flight.schedule import Scheduled, TickActions
 from testbed.flight.stages import Part, Stage
 
-BLOCK = 64  # ticks that are run without a look at what may end the flight
+LOOK_TICKS = 64  # that are run without a look at what may end the flight
 
 # A tick of a block.
 TICK = np.dtype(
     [
-        ("time_s", "f8"),
         ("tick", "i8"),  # of the base rate
         ("action", "i8"),  # row of ACTION
         ("planned", "i8"),  # row of transmission times; -1: at the tick
@@ -39,9 +38,22 @@ ACTION = np.dtype(
 )
 _MIN_ACTIONS = 8
 # Where `run` goes on.
-PLACE = np.dtype([("tick", "i8"), ("stage", "i8"), ("ticks", "i8"), ("ending", "?")], align=True)
+PLACE = np.dtype(
+    [
+        ("row", "i8"),  # of the block
+        ("rows", "i8"),  # their number
+        ("offset", "i8"),  # in ticks, from the block's
+        ("period", "i8"),  # in ticks, at which the block repeats; 0: it does not
+        ("stage", "i8"),
+        ("left", "i8"),  # ticks to be run
+        ("last", "i8"),  # tick of the flight
+        ("rate_hz", "f8"),  # of the ticks
+        ("ending", "?"),  # the tick is the last one
+        ("done", "?"),  # that was the last one
+    ],
+    align=True,
+)
 
-Row: TypeAlias = tuple[int, TickActions, int, tuple[int, ...] | None]  # of `Clock.schedule`
 Kind: TypeAlias = tuple[bool, tuple[int, ...], bool, bool, bool]  # of the actions of a tick
 
 
@@ -72,15 +84,15 @@ class TickLoop:
 
     def __init__(self, stages: Sequence[Stage], inputs: TickInputs, base_rate_hz: int) -> None:
         """See the class; nothing is compiled or called yet."""
-        self._stages, self._inputs, self._rate = tuple(stages), inputs, base_rate_hz
-        n = len(inputs.senders)
-        self._block = allocate(TICK, BLOCK)
-        self._planned_s = np.full((BLOCK, n), np.nan)
+        self._stages, self._inputs = tuple(stages), inputs
+        self._block, self._due = allocate(TICK, 0), list[TickActions]()
+        self._planned_s = np.zeros((0, n := len(inputs.senders)))
         self._count = 0  # of actions
         self._actions = allocate(ACTION, _MIN_ACTIONS)
         self._senders, self._needed = np.zeros((2, _MIN_ACTIONS, n), dtype=bool)
         self._addresses: Words = np.zeros((0, len(stages)), dtype=np.uint64)
         self._place = allocate(PLACE, 1)
+        self._place["rate_hz"] = base_rate_hz
         self._programs: list[tuple[Stage, ...]] = []
         self._programs_of: dict[Kind, int] = {}
         self._actions_of: dict[tuple[object, ...], int] = {}
@@ -94,33 +106,36 @@ class TickLoop:
             *(self._addresses, self._place, *self._inputs),
         )
 
-    def load(self, rows: Iterable[Row], last: int) -> int:
-        """Set the ticks that `run` runs next, at most `BLOCK`.
+    def load(self, rows: Sequence[Scheduled], period: int, last: int) -> None:
+        """Set the ticks that `run` runs next.
 
         Args:
-            rows: of `Clock.schedule`.
-            last: tick, at which the flight models do not move on.
-
-        Returns:
-            Their number.
+            rows: a block of `Clock.blocks`.
+            period: of its repetitions, in ticks; 0: it does not repeat.
+            last: tick of the flight, at which vehicles do not move on.
         """
-        block, place, count = self._block, self._place, 0
-        known = self._count
-        for count, (tick, due, steps, needed) in enumerate(rows, start=1):
-            moves = tick + steps <= last
-            planned = -1
+        self._block, self._due = allocate(TICK, len(rows)), [due for _, due, *_ in rows]
+        self._planned_s = np.full((len(rows), len(self._inputs.senders)), np.nan)
+        for k, (tick, due, steps, needed) in enumerate(rows):
             if due.sent_s is not None:
-                planned = count - 1
-                self._planned_s[planned] = due.sent_s
-            action = self._action(due, steps if moves else 0, needed)
-            block[count - 1] = tick / self._rate, tick, action, planned
-        if self._count > known:
-            self._call.rebind(*self._arguments)
-        place[0] = 0, 0, count, False
-        return count
+                self._planned_s[k] = due.sent_s
+            planned = -1 if due.sent_s is None else k
+            self._block[k] = tick, self._action(due, steps, needed), planned
+        place = self._place
+        place["row"] = place["offset"] = place["stage"] = 0
+        place["ending"] = place["done"] = False
+        place["rows"], place["period"], place["last"] = len(rows), period, last
+        self._call.rebind(*self._arguments)
+
+    def limit(self, ticks: int) -> None:
+        """Let `run` end after some ticks."""
+        self._place["left"] = ticks
 
     def run(self) -> Stage | None:
-        """Run on, up to a stage that asks for Python; None: all ticks have been run."""
+        """Run on, up to a stage that asks for Python.
+
+        None: the limit, the end of a block that does not repeat, or that of the flight is reached.
+        """
         while self._call(0.0):
             stage = self._at
             if stage.call is None or not is_interpreted() or stage.call(self.time_s):
@@ -134,23 +149,36 @@ class TickLoop:
         self._place["ending"] |= ending
 
     @property
-    def tick(self) -> int:
-        """The present tick, of the base rate."""
-        return int(self._block["tick"][self._place["tick"][0]])
+    def done(self) -> bool:
+        """Whether the flight is at its end."""
+        return bool(self._place["done"][0])
+
+    @property
+    def in_block(self) -> bool:
+        """Whether there are more ticks in this block, and in the flight."""
+        place = self._place[0]
+        return bool(place["row"] < place["rows"] and not place["done"])
+
+    @property
+    def due(self) -> TickActions:
+        """What happens at the present tick."""
+        return self._due[int(self._place["row"][0])]
 
     @property
     def time_s(self) -> float:
-        """Its time, s."""
-        return float(self._block["time_s"][self._place["tick"][0]])
+        """Time of the present tick, s."""
+        place = self._place[0]
+        tick = int(self._block["tick"][place["row"]] + place["offset"])
+        return tick / float(place["rate_hz"])
 
     @property
     def _at(self) -> Stage:
         place = self._place[0]
-        action = self._actions[self._block["action"][place["tick"]]]
+        action = self._actions[self._block["action"][place["row"]]]
         return self._programs[int(action["program"])][int(place["stage"])]
 
     def _action(self, due: TickActions, steps: int, needed: tuple[int, ...] | None) -> int:
-        """Return the row of ACTION of a tick; `steps`: 0 at the last one."""
+        """Return the row of ACTION of a tick."""
         if due.sent_s is not None:
             return self._find_action(due, steps, needed)
         regular = id(due), steps, needed  # these repeat; `due` is held, which keeps its id
@@ -169,11 +197,12 @@ class TickLoop:
         key = program, steps, senders.tobytes(), rows.tobytes()
         if key not in self._actions_of:
             before_move = sum(each.part is not Part.MOVE for each in stages)
-            count = len(stages) if steps else before_move
-            broadcasts = due.broadcast is not None
             if self._count == len(self._actions):
                 self._grow()
-            self._actions[self._count] = program, count, before_move, steps, broadcasts
+            self._actions[self._count] = (
+                *(program, len(stages), before_move, steps),
+                due.broadcast is not None,
+            )
             self._senders[self._count], self._needed[self._count] = senders, rows
             self._actions_of[key] = self._count
             self._count += 1
@@ -234,9 +263,12 @@ def _run_ticks(
         needed: see there.
     """
     at = place[0]
-    while at.tick < at.ticks:
-        row = block[at.tick]
-        action = actions[row.action]
+    while at.left > 0 and at.row < at.rows and not at.done:
+        row = block[at.row]
+        tick, action = row.tick + at.offset, actions[row.action]
+        if tick > at.last:
+            at.done = True
+            break
         if at.stage == 0:
             steps[0] = action.steps
             for i in range(len(senders)):
@@ -244,11 +276,18 @@ def _run_ticks(
                 if action.broadcasts:
                     senders[i] = senders_of[row.action, i]
                     planned_s[i] = planned_rows[row.planned, i] if row.planned >= 0 else nan
-        while at.stage < (action.before_move if at.ending else action.stages):
+        now = tick / at.rate_hz
+        moves = tick + action.steps <= at.last and not at.ending
+        while at.stage < (action.stages if moves else action.before_move):
             address = addresses[action.program, at.stage]
-            if address == 0 or call_words(address, row.time_s) != 0:
+            if address == 0 or call_words(address, now) != 0:
                 return True
             at.stage += 1
         at.stage = 0
-        at.tick = at.ticks if at.ending else at.tick + 1
+        at.left -= 1
+        at.done = not moves
+        at.row += 1
+        if at.row == at.rows and at.period > 0:
+            at.row = 0
+            at.offset += at.period
     return False
