@@ -201,9 +201,7 @@ def transformed_source(
 
 
 def true_airspeed_source(
-    equivalent: ColumnSource,
-    ratios: tuple[ColumnSource, ...],
-    altitudes: tuple[ColumnSource, ...],
+    equivalent: ColumnSource, ratios: tuple[ColumnSource, ...], altitudes: tuple[ColumnSource, ...]
 ) -> ColumnSource:
     """Make a source of true airspeed.
 

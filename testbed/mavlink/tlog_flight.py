@@ -198,10 +198,7 @@ def read_log(path: Path, system: int | None = None) -> FlightLog:
         attitude=_ATTITUDE,
         columns=COLUMNS,
         remedy=_REMEDY,
-        home=(
-            field_source(_POSITION, "alt", 1e-3),
-            field_source(_POSITION, "relative_alt", 1e-3),
-        ),
+        home=(field_source(_POSITION, "alt", 1e-3), field_source(_POSITION, "relative_alt", 1e-3)),
         clock_starts=clock.starts,
     )
 
