@@ -28,10 +28,8 @@ from testbed.atmosphere.mil_f_8785c import HIGH, LOW
 from testbed.core.compile import bind_entry, entry, kernel
 from testbed.core.errors import InputError
 from testbed.core.frames import COURSE_FLOOR, rotation_rows
-from testbed.core.random import named_stream
+from testbed.core.random import NormalNumbers, named_stream
 from testbed.core.records import Array, Record, Records, Values, allocate
-
-BLOCK = 256  # steps whose random numbers are drawn at a time; the numbers do not depend on it
 
 
 class DrydenMixture(NamedTuple):
@@ -124,10 +122,8 @@ class DrydenTurbulence:
         self._third_order = allocate(THIRD_ORDER, n, 2, parts)
         self._hold_steps = max(1, round(hold_s / dt))
         self._steps_left = 0  # that the filters are still used
-        self._states_each = 7 * parts + 1
-        self._streams = [named_stream(seed, f"air/{name}") for name in names]
-        self._numbers: Sequence[Array] = ()
-        self._next = 0
+        streams = [[(named_stream(seed, f"air/{name}"), 7 * parts + 1)] for name in names]
+        self._draw = NormalNumbers(streams).draw
         # of unit variance and uncorrelated: stationary from the start
         self._states = self._draw().copy()
 
@@ -150,15 +146,6 @@ class DrydenTurbulence:
             self._steps_left = self._hold_steps
         self._steps_left -= 1
         self.add(self._draw(), update)
-
-    def _draw(self) -> Array:
-        """Return the next standard normal numbers (N, 7 M + 1)."""
-        if self._next == len(self._numbers):
-            shape = BLOCK, self._states_each
-            blocks = [each.standard_normal(shape) for each in self._streams]
-            self._numbers, self._next = list(np.stack(blocks, axis=1)), 0
-        self._next += 1
-        return self._numbers[self._next - 1]
 
 
 @entry

@@ -31,7 +31,7 @@ from testbed.sensors.errors import (
     make_sensor_errors,
     view_errors,
 )
-from testbed.sensors.sensor_step import estimate_airspeeds, estimate_motions
+from testbed.sensors.sensor_step import estimate_motions
 
 WARM_UP_S = 60.0  # straight flight of the filters before the run
 _NAVIGATION = ("gps", "barometer", "gyro", "accelerometer", "magnetometer")
@@ -64,7 +64,6 @@ class StateEstimators:
         dt = 1.0 / rate_hz
         self._count, self._rate_hz, self._step = len(names), rate_hz, 0
         self._sensors: tuple[GaussMarkovErrors, Callable[..., None]] | None = None
-        self._filters: tuple[Records, Records, Records] | None = None
         self._jitter: tuple[GaussMarkovErrors, Callable[..., None]] | None = None
         modelled = any(each.measured for each in sensors) or sensor_faults
         if modelled:
@@ -125,30 +124,22 @@ class StateEstimators:
             aircraft["estimate"] = aircraft["truth"]
 
     def _make_sensor_step(
-        self,
-        names: Sequence[str],
-        sensors: Sequence[Sensors],
-        errors: GaussMarkovErrors,
-        seed: int,
+        self, names: Sequence[str], sensors: Sequence[Sensors], errors: GaussMarkovErrors, seed: int
     ) -> Callable[..., None]:
         """Return the call that steps all sensors and filters."""
         biases = make_constant_biases(names, sensors, seed)
         airspeed_sensors = make_airspeed_sensors(sensors, biases, self._rate_hz)
         values = errors.coefficients, errors.values, view_errors(errors)
-        args = *values, airspeed_sensors, self._rate_hz
         like = allocate(AIRCRAFT, 1), errors.values, 0, True
         rows = np.flatnonzero([has_filter(each) for each in sensors])
-        if not rows.size:
-            return bind_entry(estimate_airspeeds, *args, like=like)
         settings = make_settings([sensors[row] for row in rows.tolist()], self._rate_hz)
         settings["row"], settings["heading_bias"] = rows, biases.heading[rows]
         self._filters = settings, *make_filters(settings)
-        return bind_entry(estimate_motions, *args, *self._filters, like=like)
+        args = *values, airspeed_sensors, self._rate_hz, *self._filters
+        return bind_entry(estimate_motions, *args, like=like)
 
     def _start_filters(self, errors: Records, step: int, truth: Records) -> None:
         """Start the filters at a step before the warm-up, in a known wind."""
-        if self._filters is None:
-            return
         settings, filters, past = self._filters
         rows = settings["row"]
         nose = rotation_ned_body(truth["euler"])[:, :, 0]

@@ -16,9 +16,9 @@ from sensors_samples import (
     suite,
 )
 
+from testbed.core import random
 from testbed.core.frames import GRAVITY
 from testbed.core.records import VehicleState
-from testbed.sensors import errors as sensor_errors
 from testbed.sensors.airspeed import make_airspeed_sensors
 from testbed.sensors.errors import (
     ERROR_COUNT,
@@ -272,7 +272,7 @@ def test_constant_biases_depend_on_their_sensor_alone():
 
 def test_block_size_does_not_change_errors(monkeypatch):
     ours = errors_over(600, [SUITE] * 2)
-    monkeypatch.setattr(sensor_errors, "BLOCK", 7)
+    monkeypatch.setattr(random, "BLOCK", 7)
     assert np.array_equal(errors_over(600, [SUITE] * 2), ours)
 
 
