@@ -10,7 +10,7 @@ from __future__ import annotations
 import functools
 import hashlib
 from collections.abc import Callable, Sequence
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,6 +79,20 @@ class Call:
     @functools.cached_property
     def _alone(self) -> CallList:
         return CallList([self])
+
+
+PythonStep: TypeAlias = Callable[[float], object]  # of the time of a tick, s
+# In a pair the step of Python runs where the call returns something but 0.
+Step: TypeAlias = Call | PythonStep | tuple[Call, PythonStep]
+
+
+def run_steps(steps: Sequence[Step], now: float) -> None:
+    """Run steps from Python at a time, s."""
+    for step in steps:
+        if not isinstance(step, tuple):
+            step(now)
+        elif step[0](now):
+            step[1](now)
 
 
 class CallList:

@@ -27,23 +27,31 @@ class NormalNumbers:
     Args:
         own: random streams of each aircraft, for the numbers behind the shared ones.
         shared: random streams common to all aircraft, for the first numbers.
+
+    Attributes:
+        block: (BLOCK, N, K) numbers of some steps.
+        used: (1,) how many of these steps have been taken; BLOCK: `refill` comes first.
     """
 
     def __init__(self, own: Sequence[Streams], shared: Streams = ()) -> None:
-        """See the class."""
+        """See the class; the first numbers are drawn with the first step."""
         self._own, self._shared = own, shared
-        self._blocks: Sequence[NDArray[np.float64]] = ()
-        self._next = 0
+        [width] = {sum(each for _, each in (*shared, *streams)) for streams in own}
+        self.block = np.empty((BLOCK, len(own), width))
+        self.used = np.array([BLOCK], dtype=np.int64)
+
+    def refill(self) -> None:
+        """Draw the numbers of the next steps."""
+        shared = [each.standard_normal((BLOCK, width)) for each, width in self._shared]
+        for row, streams in enumerate(self._own):
+            own = (each.standard_normal((BLOCK, width)) for each, width in streams)
+            np.concatenate([*shared, *own], axis=1, out=self.block[:, row])
+        self.used[0] = 0
 
     def draw(self) -> NDArray[np.float64]:
-        """Return the next numbers (N, K)."""
-        if self._next == len(self._blocks):
-            shared = [each.standard_normal((BLOCK, width)) for each, width in self._shared]
-            rows = [
-                [*shared, *(each.standard_normal((BLOCK, width)) for each, width in streams)]
-                for streams in self._own
-            ]
-            block = np.stack([np.concatenate(row, axis=1) for row in rows], axis=1)
-            self._blocks, self._next = list(block), 0
-        self._next += 1
-        return self._blocks[self._next - 1]
+        """Return the next numbers (N, K), which are overwritten when they are all used."""
+        if self.used[0] == BLOCK:
+            self.refill()
+        self.used[0] += 1
+        numbers: NDArray[np.float64] = self.block[self.used[0] - 1]
+        return numbers

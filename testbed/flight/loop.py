@@ -7,7 +7,7 @@ from typing import Protocol, Self, TypeAlias
 
 import numpy as np
 
-from testbed.core.call_list import NOW, Call
+from testbed.core.call_list import NOW, Call, run_steps
 from testbed.core.compile import prepare, registered, registering
 from testbed.core.records import (
     AirData,
@@ -161,8 +161,10 @@ class Flight:
             yield Stage(part, StageRate.TICK, name, call=Call(copy_truth, aircraft))
         else:
             advance, keep = world.estimators.steps(aircraft)
-            yield Stage(part, StageRate.AUTOPILOT, "advance sensors and estimates", then=advance)
-            yield Stage(part, StageRate.BETWEEN, "estimate with the present errors", then=keep)
+            name = "advance sensors and estimates"
+            yield from make_stages(part, StageRate.AUTOPILOT, name, advance)
+            name = "estimate with the present errors"
+            yield from make_stages(part, StageRate.BETWEEN, name, keep)
         if world.companions is not None:
             call = world.companions.store_states
             yield Stage(part, StageRate.AUTOPILOT, "send states to the companions", call=call)
@@ -467,8 +469,7 @@ class Flight:
     def _read_air(self) -> AirData:
         """Read the flight models; the wind is that of the records, sampled at this tick."""
         for vehicles in self._world.vehicles:
-            for step in vehicles.air_steps:
-                step(0.0)
+            run_steps(vehicles.air_steps, 0.0)
         return self._sample.air
 
 

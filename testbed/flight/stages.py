@@ -7,14 +7,12 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import partial
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
-from testbed.core.call_list import Call
+from testbed.core.call_list import Call, PythonStep, Step
 from testbed.core.errors import InputError
 from testbed.core.records import Records
 from testbed.flight.schedule import TickActions
-
-Step: TypeAlias = Callable[[float], object]  # of Python, at the time of a tick, s
 
 
 class Part(StrEnum):
@@ -56,7 +54,7 @@ class Stage:
     rate: StageRate
     name: str
     call: Call | None = None
-    then: Step | None = None
+    then: PythonStep | None = None
     group: int | None = None
 
     def is_due(self, due: TickActions) -> bool:
@@ -175,7 +173,7 @@ def make_stages(
     part: Part,
     rate: StageRate,
     name: str,
-    steps: Sequence[Call | Step | tuple[Call, Step]],
+    steps: Sequence[Step],
     group: int | None = None,
 ) -> Iterator[Stage]:
     """Yield a stage for each step, compiled or Python's or both."""

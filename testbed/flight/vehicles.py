@@ -5,14 +5,14 @@ Each object reads and writes its rows of the run's AIRCRAFT records in place.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 
 from testbed.autopilot.fbwa import fly_by_wire_a, settled_autopilots
 from testbed.autopilot.parameters import AutopilotTiming, FbwaParams, make_gains
-from testbed.core.call_list import Call
+from testbed.core.call_list import Call, Step, run_steps
 from testbed.core.compile import entry
 from testbed.core.copies import copy_motion
 from testbed.core.records import (
@@ -32,10 +32,7 @@ from testbed.vehicle.control_surfaces import Servos, apply_actuator_faults, init
 from testbed.vehicle.fleet import JsbsimFleet, write_fields_at
 from testbed.vehicle.unicycle import advance, is_finite, stop_unicycles, write_motion
 
-Step: TypeAlias = Callable[[float], object]  # of Python
-Steps: TypeAlias = tuple[Call | Step, ...]
-# In a pair the step of Python runs where the call returns something but 0.
-MoveSteps: TypeAlias = tuple[Call | Step | tuple[Call, Step], ...]
+Steps: TypeAlias = tuple[Step, ...]
 LeaderInput: TypeAlias = tuple[Array, Array]  # u (1,) m/s and ω (3,) rad/s of an ideal leader
 
 
@@ -70,7 +67,7 @@ class Vehicles(Protocol):
             leader: u (1,) m/s and ω (3,) rad/s.
         """
 
-    def move_steps(self, move: Move) -> MoveSteps:
+    def move_steps(self, move: Move) -> Steps:
         """Return the steps that move them to the next tick."""
 
     def remove(self, lost: BoolArray) -> None:
@@ -125,14 +122,13 @@ class JsbsimVehicles:
         """Return nothing: an autopilot takes attitudes."""
         return ()
 
-    def move_steps(self, move: Move) -> MoveSteps:
+    def move_steps(self, move: Move) -> Steps:
         """See `Vehicles`."""
         return (lambda now: self._run(int(move.steps[0]), move.needed),)
 
     def autopilot_step(self) -> None:
         """Step the autopilots, and give their surfaces to the flight models."""
-        for step in (*self.autopilot_steps, *self.output_steps):
-            step(0.0)
+        run_steps((*self.autopilot_steps, *self.output_steps), 0.0)
 
     def apply_faults(self, now: float) -> None:
         """Apply `faults` of the records to `surfaces`."""
@@ -205,7 +201,7 @@ class UnicycleVehicles:
         """See `Vehicles`."""
         return (Call(_steer, self._unicycles, self.rows, followers, *leader),)
 
-    def move_steps(self, move: Move) -> MoveSteps:
+    def move_steps(self, move: Move) -> Steps:
         """See `Vehicles`."""
         return (Call(_move, self._unicycles, self.rows, self._aircraft, self._dt, move.steps),)
 
@@ -305,7 +301,7 @@ class ScriptedVehicle:
     def remove(self, lost: BoolArray) -> None:
         """Do nothing: the motion is given."""
 
-    def move_steps(self, move: Move) -> MoveSteps:
+    def move_steps(self, move: Move) -> Steps:
         """See `Vehicles`."""
         return ((self._follow, self._follow_next_block),)
 

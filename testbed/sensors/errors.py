@@ -18,7 +18,7 @@ from testbed.core.compile import entry, jitable, kernel
 from testbed.core.copies import copy_motion
 from testbed.core.frames import GRAVITY, rotation_rows
 from testbed.core.random import NormalNumbers, Streams, named_stream
-from testbed.core.records import Array, Record, Records, allocate
+from testbed.core.records import Array, Indices, Record, Records, allocate
 from testbed.scenario.sensors import Sensors
 
 # The errors of one aircraft's sensors. Those common to all receivers and all barometers come first,
@@ -81,7 +81,7 @@ class GaussMarkovErrors:
     Attributes:
         coefficients: (2, N, K) k and g of the recursion.
         values: (N, K) the present errors, which `advance_errors` changes.
-        draw: returns the next standard normal numbers (N, K).
+        numbers: standard normal, (N, K) per step.
     """
 
     def __init__(
@@ -93,8 +93,8 @@ class GaussMarkovErrors:
         tau = np.where(drifts, time_constant, 1.0)
         keep = np.where(drifts, np.exp(-dt / tau), 0.0)
         self.coefficients = np.array([keep, sigma * np.sqrt(1.0 - keep**2)])
-        self.draw = NormalNumbers(own, shared).draw
-        self.values = sigma * self.draw()
+        self.numbers = NormalNumbers(own, shared)
+        self.values = sigma * self.numbers.draw()
 
 
 @kernel
@@ -247,27 +247,35 @@ def add_jitter_to_all(
     coefficients: Array,
     values: Array,
     on_truth: bool,
+    block: Array,
+    used: Indices,
     aircraft: Records,
-    numbers: Array,
     advance: bool,
-) -> None:
+) -> bool:
     """Advance the jitter of all aircraft and add it to their estimates.
+
+    True: no random numbers are left, and nothing is written.
 
     Args:
         coefficients: (2, N, 9) of `GaussMarkovErrors`.
         values: (N, 9) of `GaussMarkovErrors`; written.
         on_truth: the estimate is the truth with jitter; else it is there already.
+        block: (B, N, 9) of `NormalNumbers`.
+        used: (1,) of these; written.
         aircraft: (N,) of AIRCRAFT; `estimate` is written.
-        numbers: (N, 9), standard normal.
         advance: False: the errors stay as they are.
     """
     if advance:
-        advance_errors(coefficients, values, numbers)
+        if used[0] == len(block):
+            return True
+        advance_errors(coefficients, values, block[used[0]])
+        used[0] += 1
     for i in range(len(aircraft)):
         estimate = aircraft[i].estimate
         if on_truth:
             copy_motion(aircraft[i].truth, estimate)
         add_jitter(values[i], estimate)
+    return False
 
 
 @kernel

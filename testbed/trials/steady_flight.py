@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from testbed.core.call_list import run_steps
 from testbed.core.errors import InputError
 from testbed.core.frames import GRAVITY, course
 from testbed.core.records import Array, BoolArray, join_names
@@ -234,8 +235,7 @@ class SteadyFlight:
             if due.autopilot:
                 disturb(now - first)
                 for vehicles in world.vehicles:
-                    for step in (*vehicles.autopilot_steps, *vehicles.output_steps):
-                        step(now)
+                    run_steps((*vehicles.autopilot_steps, *vehicles.output_steps), now)
             if due.guidance:
                 rows.append(self._look())
             for vehicles in world.vehicles:

@@ -228,7 +228,8 @@ def test_dryden_entry_matches_reference(spectrum):
     mixture = np.stack(MIXTURES[spectrum])
     scales = mixture, sigma, length, spans, dt
     filters = first_order, third_order, states
-    add_dryden_turbulence(*scales, *filters, local, aircraft, numbers, True)
+    used, hold = np.zeros(1, dtype=np.intp), np.array([1, True])
+    add_dryden_turbulence(*scales, *filters, local, aircraft, numbers[None], used, hold)
     assert states == pytest.approx(expected_states, abs=1e-12)
     assert np.array(wind["wind_ned"]) == pytest.approx(expected, abs=1e-12)
     assert np.array(wind["wind_gradient_rates"]) == pytest.approx(rates, abs=1e-12)

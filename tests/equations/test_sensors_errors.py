@@ -109,7 +109,7 @@ def errors_over(steps, suites, *, aircraft=None, dt=DT, seed=SEED):
     errors = make_sensor_errors(aircraft, suites, seed=seed, dt=dt)
     seen = [errors.values.copy()]
     for _ in range(steps - 1):
-        advance_errors(errors.coefficients, errors.values, errors.draw())
+        advance_errors(errors.coefficients, errors.values, errors.numbers.draw())
         seen.append(errors.values.copy())
     return np.stack(seen)
 
@@ -360,7 +360,7 @@ def read(suites, truths, failing=None, seed=SEED):
     sensors, out = make_airspeed_sensors(suites, biases, RATE_HZ), []
     for step, truth in enumerate(truths):
         faults = no_faults(n) if failing is None else failing(step)
-        advance_errors(errors.coefficients, errors.values, errors.draw())
+        advance_errors(errors.coefficients, errors.values, errors.numbers.draw())
         noise = view_errors(errors)["pressure_noise"].copy()
         out.append(kernels.airspeeds(sensors, truth, faults, noise, step, RATE_HZ))
     return np.array(out)

@@ -39,8 +39,10 @@ class Jitter:
     def on(self, truth, *, advance=True):
         """The estimate of aircraft with this truth."""
         errors, aircraft = self.errors, kernels.aircraft_of(truth)
-        numbers = errors.draw() if advance else errors.values
-        add_jitter_to_all(errors.coefficients, errors.values, True, aircraft, numbers, advance)
+        numbers = errors.numbers.block, errors.numbers.used
+        values = errors.coefficients, errors.values, True, *numbers
+        while add_jitter_to_all(*values, aircraft, advance):
+            errors.numbers.refill()
         return kernels.estimate_of(aircraft)
 
 

@@ -83,7 +83,7 @@ def test_ekf_step_matches_reference(monkeypatch):
         lost, jump = np.zeros(n, dtype=bool), np.zeros((n, 3))
         lost[1::EACH] = 400 < k < 900
         jump[2::EACH] = np.array([60.0, -10.0, 5.0]) * (600 < k < 1200)
-        advance_errors(errors.coefficients, errors.values, errors.draw())
+        advance_errors(errors.coefficients, errors.values, errors.numbers.draw())
         args = {
             "errors": view_errors(errors),
             "heading_bias": heading_bias,

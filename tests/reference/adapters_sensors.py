@@ -94,7 +94,8 @@ def apply_errors(truth, rows, output, states, errors):
 def add_jitter(errors, truth):
     """The truth of N aircraft with errors (N, 9) of position, velocity and attitude."""
     aircraft, none = aircraft_of(truth), np.zeros((2, *errors.shape))
-    sensor_errors.add_jitter_to_all(none, errors.copy(), True, aircraft, errors, False)
+    block, used = np.zeros((0, *errors.shape)), np.zeros(1, dtype=np.intp)
+    sensor_errors.add_jitter_to_all(none, errors.copy(), True, block, used, aircraft, False)
     return estimate_of(aircraft)
 
 
