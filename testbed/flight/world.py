@@ -163,6 +163,20 @@ class BuiltControl:
 
 
 @dataclass(frozen=True, slots=True)
+class FormationParts:
+    """What flies the followers of a leader in their slots."""
+
+    scripted_leader: bool  # it follows a recording or a formula
+    leader_controller: LeaderController
+    built_control: BuiltControl  # what `control` steps
+    control: Control
+    companions: Companions | None  # None: controllers have no latency
+    radio: Radio
+    outages: Outages
+    altitudes: Array  # (n,) m, of followers that hold an altitude; NaN for the others
+
+
+@dataclass(frozen=True, slots=True)
 class World:
     """The records of a run, and the objects that step them."""
 
@@ -172,10 +186,10 @@ class World:
     aircraft: Records  # (N,) of AIRCRAFT
     followers: Records  # (n,) of FOLLOWER
     links: Records  # (n, N) of LINK
+    parts: FormationParts | None  # None: a single aircraft without a formation
     air: Atmosphere | None  # None: it is steady
     gusts: tuple[str, ...]  # names of its discrete gusts
     vehicles: tuple[Vehicles, ...]
-    scripted_leader: bool  # it follows a recording or a formula
     external_processes: tuple[ArduPlaneVehicles, ...]
     fleet: JsbsimFleet | None  # the JSBSim models, if there are any
     estimators: StateEstimators
@@ -183,14 +197,13 @@ class World:
     proximity: ProximityMonitor
     envelope: EnvelopeMonitor
     fly_on: bool  # the run continues without lost aircraft
-    leader_controller: LeaderController
     external_control: ExternalCommands | None  # None: no external commands
-    built_control: BuiltControl  # what `control` steps
-    control: Control
-    companions: Companions | None  # None: controllers have no latency
-    radio: Radio
-    outages: Outages
-    altitudes: Array  # (n,) m, of followers that hold an altitude; NaN for the others
     initial_events: tuple[Event, ...]  # from before the flight
     info: RunInfo
     entries: tuple[Arguments, ...]  # that step them
+
+    @property
+    def formation(self) -> FormationParts:
+        """What flies the followers, of a flight that has some."""
+        assert self.parts is not None, "a single aircraft has no formation"
+        return self.parts

@@ -11,10 +11,9 @@ from testbed.commands.autopilot_session import AutopilotSession
 from testbed.commands.external_control import ExternalControl
 from testbed.commands.navigator import NavigatorConfig
 from testbed.core.records import FbwaCommand
-from testbed.flight.leader_control import MissionController
+from testbed.flight.leader_control import LeaderController, MissionController
 from testbed.flight.schedule import Clock
 from testbed.flight.vehicles import JsbsimVehicles
-from testbed.flight.world import LeaderSetup
 from testbed.guidance.flight_plan import GuidanceMission
 from testbed.mavlink.mission_plans import ItemFlightPlan, items_from_mission, items_of_segments
 from testbed.mavlink.vehicle_control import FlightMode, VehicleControl
@@ -28,7 +27,7 @@ _BANK_LIMIT_DEG, _CLIMB_LIMIT_MPS = 45.0, 1.5  # of a follower's circles and mis
 def build_external_control(
     fleet: Fleet,
     clock: Clock,
-    leader: LeaderSetup,
+    leader: LeaderController | None,
     starts: Sequence[InitialState],
     jsbsim: JsbsimVehicles | None,
 ) -> ExternalControl:
@@ -37,7 +36,7 @@ def build_external_control(
     Args:
         fleet: the N aircraft.
         clock: of the run.
-        leader: the leader.
+        leader: of the scenario's own leader; None: there is none.
         starts: N.
         jsbsim: the vehicles with flight models.
     """
@@ -50,8 +49,7 @@ def build_external_control(
         source = one.section.commanded_by
         trim = jsbsim.fleet.trims[fleet_row]
         north, east, down = starts[row].position_ned
-        controller = leader.controller
-        own = controller if row == 0 and isinstance(controller, MissionController) else None
+        own = leader if row == 0 and isinstance(leader, MissionController) else None
         flight_params = own.plan.mission if own else _flight_params(tune, starts[row].airspeed)
         config = NavigatorConfig(
             row=row,
