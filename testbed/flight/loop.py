@@ -180,7 +180,8 @@ class Flight:
         """Samples for the observers: in blocks where they take these."""
         world, part, rate, observers = self._world, Part.OBSERVE, StageRate.LOG, self._observers
         buffers = []
-        if world.external_control is None:  # else a sample is not just a copy of the records
+        # where aircraft of a formation are commanded, a sample is not just a copy of the records
+        if world.external_control is None or world.parts is None:
             buffers = [(each, each.share(len(world.names))) for each in observers.of_blocks]
         records = world.aircraft, world.followers, world.links
         for each, buffer in buffers:
@@ -330,7 +331,7 @@ class Flight:
     def _observe(self, now: float) -> None:
         """Hand a sample and the events to the observers; end the run where it is over."""
         world, sample, followers = self._world, self._sample, self._world.followers
-        if world.external_control is not None:
+        if world.external_control is not None and world.parts is not None:
             masked = world.external_control.mask_diagnostics(followers)
             if masked is not followers:
                 records = world.aircraft, masked, world.links

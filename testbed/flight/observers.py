@@ -67,13 +67,16 @@ class Observers:
 
     A sample of the loop has views of the run's records, which the next ticks change. An observer
     that copies what it needs at once has an attribute `zero_copy` that is true; all others share
-    one copy. One with an attribute `takes_blocks` is a `BlockObserver`.
+    one copy. One with an attribute `takes_blocks` is a `BlockObserver`; one with an attribute
+    `events_only` that is true gets samples with events alone.
     """
 
     def __init__(self, observers: Sequence[Observer]) -> None:
         """Sort observers by what they take."""
-        self._direct = [each for each in observers if getattr(each, "zero_copy", False)]
-        self._others = [each for each in observers if each not in self._direct]
+        self._of_events = [each for each in observers if getattr(each, "events_only", False)]
+        of_samples = [each for each in observers if each not in self._of_events]
+        self._direct = [each for each in of_samples if getattr(each, "zero_copy", False)]
+        self._others = [each for each in of_samples if each not in self._direct]
         self._of_blocks: list[BlockObserver] = []
 
     @property
@@ -96,6 +99,8 @@ class Observers:
         if sample.events:
             for taker in self._of_blocks:
                 taker.add_events(sample.events)
+            for each in self._of_events:
+                each.observe(sample)
         for each in self._direct:
             each.observe(sample)
         if self._others:

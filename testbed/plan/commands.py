@@ -8,9 +8,9 @@ from functools import partial
 
 from testbed.autopilot.parameters import FbwaParams
 from testbed.commands.autopilot_session import AutopilotSession
-from testbed.commands.external_control import ExternalControl
 from testbed.commands.navigator import NavigatorConfig
 from testbed.core.records import FbwaCommand
+from testbed.flight.external_control import CommandSession, ExternalControl
 from testbed.flight.leader_control import LeaderController, MissionController
 from testbed.flight.schedule import Clock
 from testbed.flight.vehicles import JsbsimVehicles
@@ -41,6 +41,7 @@ def build_external_control(
         jsbsim: the vehicles with flight models.
     """
     vehicles: list[VehicleControl] = []
+    sessions: list[tuple[int, CommandSession]] = []
     for row, one in enumerate(fleet.aircraft):
         if jsbsim is None or not one.takes_commands:
             vehicles.append(_uncommandable(one))
@@ -65,17 +66,17 @@ def build_external_control(
             numbers = items_of_segments(flight_params)
             plan = ItemFlightPlan(own.plan, numbers, (flight_params.airspeed,) * len(numbers))
             mission = (plan, items_from_mission(flight_params, config.origin), own)
-        vehicles.append(
-            AutopilotSession(
-                one.name,
-                config,
-                tune,
-                partial(jsbsim.retune, fleet_row),
-                external=source if isinstance(source, External) else None,
-                mission=mission,
-            )
+        session = AutopilotSession(
+            one.name,
+            config,
+            tune,
+            partial(jsbsim.retune, fleet_row),
+            external=source if isinstance(source, External) else None,
+            mission=mission,
         )
-    return ExternalControl(vehicles)
+        vehicles.append(session)
+        sessions.append((row, session))
+    return ExternalControl(vehicles, sessions)
 
 
 def _uncommandable(one: PlannedAircraft) -> VehicleControl:

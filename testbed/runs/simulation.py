@@ -114,7 +114,9 @@ class Simulation:
         """
         if (self._flown or self._open) and self._out is not None:
             raise InputError(f"{self._out} holds one flight (make another Simulation for the next)")
-        scenario = self.scenario if seed is None else set_seed(self.scenario, seed)
+        scenario = self.scenario
+        if seed is not None:
+            scenario = set_seed(scenario, seed)
         world = build_single(scenario) if isinstance(scenario, SingleAircraft) else build(scenario)
         self._end_observers()
         self.scenario = scenario
@@ -313,7 +315,7 @@ class _StepArguments(Section):
 class _Events:
     """Collect the events of a flight."""
 
-    zero_copy = True
+    events_only = True
 
     def __init__(self) -> None:
         self.all: list[Event] = []

@@ -41,7 +41,7 @@ class Scenario(Sections):
         return self
 
 
-FlightT = TypeVar("FlightT", Scenario, SingleAircraft)
+FlightT = TypeVar("FlightT", bound=Scenario | SingleAircraft)
 
 
 def set_duration(scenario: Scenario, duration_s: float) -> Scenario:
