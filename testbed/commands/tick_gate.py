@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from testbed.core.errors import ExternalProgramLost, InputError
+from testbed.flight.external_control import ExternalControl
 from testbed.flight.schedule import TickActions
-from testbed.flight.world import ExternalCommands
 from testbed.scenario.fields import is_number
 from testbed.scenario.validate import shown_value
 
@@ -38,7 +38,7 @@ class TickGate:
 
     def __init__(
         self,
-        control: ExternalCommands | None,
+        control: ExternalControl | None,
         server: MavlinkServer | None,
         pacer: RealTimePacer | None,
         stop: Callable[[], bool],
@@ -81,7 +81,7 @@ class TickGate:
             self._server.wait(left, now)
         return not self._stop()
 
-    def _wait_for_commands(self, control: ExternalCommands, now: float) -> None:
+    def _wait_for_commands(self, control: ExternalControl, now: float) -> None:
         start = repeated = time.monotonic()
         announced = False
         while (names := control.waiting) and self._server is not None and not self._stop():

@@ -42,15 +42,16 @@ class NormalNumbers:
 
     def refill(self) -> None:
         """Draw the numbers of the next steps."""
-        shared = [each.standard_normal((BLOCK, width)) for each, width in self._shared]
+        count = len(self.block)
+        shared = [each.standard_normal((count, width)) for each, width in self._shared]
         for row, streams in enumerate(self._own):
-            own = (each.standard_normal((BLOCK, width)) for each, width in streams)
+            own = (each.standard_normal((count, width)) for each, width in streams)
             np.concatenate([*shared, *own], axis=1, out=self.block[:, row])
         self.used[0] = 0
 
     def draw(self) -> NDArray[np.float64]:
         """Return the next numbers (N, K), which are overwritten when they are all used."""
-        if self.used[0] == BLOCK:
+        if self.used[0] == len(self.block):
             self.refill()
         self.used[0] += 1
         numbers: NDArray[np.float64] = self.block[self.used[0] - 1]

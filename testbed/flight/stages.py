@@ -6,7 +6,6 @@ import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from functools import partial
 from typing import NamedTuple
 
 from testbed.core.call_list import Call, PythonStep, Step
@@ -151,15 +150,12 @@ def insert_stages(
                 f"{known})"
             )
         at = len(names) - 1 - names[::-1].index(user.after)
-        step = partial(_step_user, user.step, records)
+
+        def step(now: float, user: UserStage = user) -> None:
+            user.step(now, records)
+
         found.insert(at + 1, replace(found[at], name=user.name, call=None, then=step))
     return tuple(found)
-
-
-def _step_user(
-    step: Callable[[float, FlightRecords], object], records: FlightRecords, now: float
-) -> None:
-    step(now, records)
 
 
 def describe_stages(stages: Sequence[Stage]) -> Iterator[tuple[str, str, str, str]]:

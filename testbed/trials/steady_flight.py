@@ -246,9 +246,8 @@ class SteadyFlight:
 
     def _look(self) -> Array:
         world = self._world
-        write_formation_state(
-            world.aircraft, world.followers, world.control.offsets, world.altitudes
-        )
+        slots = world.formation.control.offsets, world.formation.altitudes
+        write_formation_state(world.aircraft, world.followers, *slots)
         own, followers = world.aircraft[1:], world.followers
         euler = own["truth"]["euler"][:, :2]
         commanded = np.stack((own["command"]["roll"], followers["saturations"]))
@@ -260,7 +259,8 @@ def _roll_limits_deg(world: World) -> Array:
     [autopilots] = [
         each.autopilots.gains for each in world.vehicles if isinstance(each, JsbsimVehicles)
     ]
-    limits: Array = np.minimum(world.built_control.config.roll_limit, autopilots["roll_limit"])
+    followers = world.formation.built_control.config
+    limits: Array = np.minimum(followers.roll_limit, autopilots["roll_limit"])
     return np.degrees(limits)
 
 
