@@ -280,13 +280,13 @@ def _read_columns(
         for source, array in out.items():
             array[rows[known], i] = values[source][known]
     for column in topic.columns:
-        values = out[column.source]
+        array = out[column.source]
         if len(column.names) == 1 and not column.per_aircraft:
-            values = values[..., 0]
+            array = array[..., 0]
         if column.dtype != "f8":
             # in samples without a message no bit is set and no message counted
-            values = np.nan_to_num(values).astype(column.dtype)
-        out[column.source] = values
+            array = np.nan_to_num(array).astype(column.dtype)
+        out[column.source] = array
     return out
 
 
