@@ -1,4 +1,4 @@
-"""Topics of a log, of which writer, reader, exports and schemas are made.
+"""Topics of a log and their fields, of which writer, reader, exports and schemas are made.
 
 A topic has columns: the fields of records of a `Sample` that are annotated with `Logged`, in their
 order there. A log also has Foxglove's own messages: `/tf`, `/tf_static`, `/<aircraft>/fix` and
@@ -7,7 +7,7 @@ order there. A log also has Foxglove's own messages: `/tf`, `/tf_static`, `/<air
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, get_origin, get_type_hints
 
@@ -117,3 +117,64 @@ FORMATION = Topic(
 # the first lost message on.
 NETWORK = Topic("network", followers_only=True, columns=_columns("links"))
 TOPICS = (STATE, ESTIMATE, COMMAND, FORMATION, ESTIMATED_ERROR, NETWORK)
+
+# The last word of a name is its unit; other names are dimensionless.
+UNITS: Mapping[str, str] = {
+    "m": "m",
+    "mps": "m/s",
+    "mps2": "m/s²",
+    "rad": "rad",
+    "radps": "rad/s",
+    "rps": "1/s",
+    "s": "s",
+    "v": "V",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """A field of the log: a number per sample and aircraft, or pair."""
+
+    name: str  # topic and field of the log: formation_error_north_m
+    topic: Topic
+    field: str  # error_north_m
+    unit: str  # "" if dimensionless
+    source: str  # path from a sample, or a log with K samples
+    component: int | None  # of the array's last axis; None: all of it
+    followers_only: bool  # the leader has no value
+    per_aircraft: bool  # a value about every aircraft, (K, N, N)
+    integer: bool  # a count, an index or a set of bits
+
+    def of(self, array: Any) -> Any:  # noqa: ANN401 - an array of any type
+        """Return the values in the array of the source."""
+        return array if self.component is None else array[..., self.component]
+
+    def columns(self, names: tuple[str, ...]) -> tuple[str, ...]:
+        """Name the table columns: one, or one for each aircraft, before the unit."""
+        if not self.per_aircraft:
+            return (self.name,)
+        stem, _, unit = self.name.rpartition("_")
+        return tuple(f"{stem}_{name}_{unit}" for name in names)
+
+
+def _quantities(topic: Topic) -> Iterator[Quantity]:
+    for column in topic.columns:
+        for i, field in enumerate(column.names):
+            prefixed = field.startswith(f"{topic.name}_")
+            yield Quantity(
+                name=field if prefixed else f"{topic.name}_{field}",
+                topic=topic,
+                field=field,
+                unit=UNITS.get(field.rpartition("_")[2], ""),
+                source=column.source,
+                component=i if len(column.names) > 1 else None,
+                followers_only=topic.followers_only,
+                per_aircraft=column.per_aircraft,
+                integer=column.type == FIXED32,
+            )
+
+
+# By name.
+QUANTITIES: Mapping[str, Quantity] = {
+    each.name: each for topic in TOPICS for each in _quantities(topic)
+}

@@ -18,7 +18,7 @@ import numpy as np
 
 from testbed.core.records import RunInfo
 from testbed.views.foxglove_scene import FORMATION_FRAME, FRAMES, TOPICS, slot_frame
-from testbed.views.log_plots import Curve, Tab, tabs
+from testbed.views.log_plots import Curve, Tab, aircraft_hex, tabs
 
 _AXIS_SPANS = 0.5  # length of the axes of an aircraft, in wingspans
 _SQUARE = 100.0  # m, of the ground grid
@@ -75,7 +75,7 @@ def foxglove_layout(info: RunInfo) -> str:
         tab_panels.append({"title": tab.title, "layout": _stack(ids)})
     panels["map!fixes"] = {
         "layer": "map",
-        "topicColors": {f"/{name}/fix": colour for name, colour in _colours(info.names).items()},
+        "topicColors": {f"/{name}/fix": aircraft_hex(k) for k, name in enumerate(info.names)},
         "followTopic": f"/{leader}/fix",
     }
     tab_panels.append({"title": "map", "layout": "map!fixes"})
@@ -128,12 +128,6 @@ def _plots(tab: Tab) -> list[dict[str, Any]]:
         }
         for plot in tab.plots
     ]
-
-
-def _colours(names: Sequence[str]) -> dict[str, str]:
-    """Look up the colour of each aircraft in the plot of airspeed, which has all aircraft."""
-    air = next(tab for tab in tabs(names) if tab.title == "air")
-    return {name: curve.colour for name, curve in zip(names, air.plots[0].curves, strict=True)}
 
 
 def _stack(ids: Sequence[str], first: float | None = None) -> Any:  # noqa: ANN401 - a tree
