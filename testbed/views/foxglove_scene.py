@@ -25,9 +25,19 @@ from testbed.views.airframes import draw_airframe, whole
 from testbed.views.annotations import BROAD, LOST, THIN, Links
 from testbed.views.batch import Batch, batch_of
 from testbed.views.cameras import BEHIND, CameraTrack, rotate_to_heading
-from testbed.views.meshes import DARK, LIGHT, MAIN, Mesh
+from testbed.views.meshes import Mesh
 from testbed.views.panels import Colour
-from testbed.views.scene import BACKDROP, Scene, ground, mix, scene_of, secondary_colour
+from testbed.views.scene import (
+    BACKDROP,
+    PATH_COLOUR,
+    WIND_COLOUR,
+    Scene,
+    ground,
+    mix,
+    paint_colours,
+    scene_of,
+    secondary_colour,
+)
 
 FRAMES, AIRCRAFT, SLOTS, PATH, TRAILS, LINKS, WIND, ESTIMATES, LOSSES = TOPICS = tuple(
     f"/scene/{name}"
@@ -48,10 +58,7 @@ LINES_HZ = 5.0  # of links, trails, wind and estimates
 TRAIL_STEP_S = 1.0
 TRAIL_POINTS = 600  # at most, of all aircraft together
 _NS = 10**9
-_PATH: Colour = (165, 165, 170)
 _FAINT: Colour = (96, 104, 118)
-_DARK: Colour = (45, 50, 58)
-_WIND: Colour = (255, 150, 190)
 _WHITE: Colour = (255, 255, 255)
 _GHOST_ALPHA, _DISC_ALPHA = 0.25, 0.27
 _LEAST_WIND = 1e-3  # m/s, below which there is none
@@ -173,7 +180,7 @@ class _SceneMessages:
         """Draw the leader's path, its shadow on the ground, and a scale."""
         area, lines = ground(self._scene.paths), []
         for path in area.paths:
-            lines.append(draw.line_strip(draw.points(path), _PATH, 2.0))
+            lines.append(draw.line_strip(draw.points(path), PATH_COLOUR, 2.0))
             lines.append(draw.line_strip(draw.points(path * [1.0, 1.0, 0.0]), _FAINT, 1.0))
         if area.paths:
             lines.append(draw.line_list(area.posts, _FAINT, 1.0))
@@ -228,7 +235,9 @@ class _SceneMessages:
             if windy:
                 pairs = zip(position[i, flying[i]], wind[i, flying[i]], strict=True)
                 arrows = [
-                    draw.arrow(where, _along(vector), scale * float(np.linalg.norm(vector)), _WIND)
+                    draw.arrow(
+                        where, _along(vector), scale * float(np.linalg.norm(vector)), WIND_COLOUR
+                    )
                     for where, vector in pairs
                     if np.linalg.norm(vector) > _LEAST_WIND
                 ]
@@ -256,7 +265,7 @@ class _SceneMessages:
 
 def _painted(mesh: Mesh, paint: Colour, trim: Colour, alpha: float) -> list[draw.Triangles]:
     """Draw a mesh as one surface of each paint."""
-    colours = {MAIN: paint, LIGHT: trim, DARK: _DARK}
+    colours = paint_colours(paint, trim).tolist()
     of_triangle = mesh.paint[mesh.triangles[:, 0]]
     surfaces = []
     for number in np.unique(of_triangle).tolist():

@@ -90,6 +90,13 @@ def _length(vectors: Array) -> Array:
     return length
 
 
+def _horizontal(vectors: Array) -> Array:
+    return np.hypot(vectors[..., 0], vectors[..., 1])
+
+
+_POSITIONS = ("estimate.position_ned", "truth.position_ned")
+
+
 def _ned(field: str) -> tuple[str, ...]:
     return tuple(field.format(axis) for axis in ("north", "east", "down"))
 
@@ -132,15 +139,22 @@ PLOTTED: Mapping[str, PlottedQuantity] = {
     "airspeed": PlottedQuantity("airspeed", "m/s", ("state_airspeed_mps",), tab="air"),
     "wind": PlottedQuantity(
         "horizontal wind", "m/s", _ned("state_wind_{}_mps"),
-        computed=(lambda wind: np.hypot(wind[..., 0], wind[..., 1]), ("air.wind_ned",)), tab="air",
+        computed=(_horizontal, ("air.wind_ned",)), tab="air",
     ),
     "updraught": PlottedQuantity(
         "upward wind", "m/s", computed=(lambda wind: -wind[..., 2], ("air.wind_ned",))
     ),
     "estimate_error": PlottedQuantity(
         "error of position estimate", "m",
-        computed=(lambda estimate, truth: _length(estimate - truth),
-                  ("estimate.position_ned", "truth.position_ned")),
+        computed=(lambda estimate, truth: _length(estimate - truth), _POSITIONS),
+    ),
+    "estimate_horizontal": PlottedQuantity(
+        "horizontal position, estimate − truth", "m",
+        computed=(lambda estimate, truth: _horizontal(estimate - truth), _POSITIONS),
+    ),
+    "estimate_height": PlottedQuantity(
+        "height, estimate − truth", "m",
+        computed=(lambda estimate, truth: -(estimate - truth)[..., 2], _POSITIONS),
     ),
     "age": PlottedQuantity(
         "age of the oldest message used", "s",

@@ -31,14 +31,13 @@ from testbed.views.annotations import Links
 from testbed.views.batch import batch_of
 from testbed.views.cameras import BEHIND, CameraTrack
 from testbed.views.foxglove_scene import hold_finite
-from testbed.views.meshes import DARK, LIGHT, MAIN, Mesh
+from testbed.views.meshes import Mesh
 from testbed.views.panels import Colour
-from testbed.views.scene import BACKDROP, mix, scene_of, secondary_colour
+from testbed.views.scene import BACKDROP, mix, paint_colours, scene_of, secondary_colour
 
 MAP, FORMATION = "map", "formation"
 FIX_HZ, LINKS_HZ = 5.0, 5.0
 _NS = 10**9
-_DARK: Colour = (45, 50, 58)
 _PATH = (0.65, 0.65, 0.67, 1.0)
 _GHOST_ALPHA = 0.25
 _LINK_M = 0.1  # width of a link
@@ -263,7 +262,6 @@ class _Content:
 def _painted(mesh: Mesh, paint: Colour, trim: Colour, alpha: float) -> tuple[Array, Array]:
     """List the corners of triangles (k, 3), forward, left, up, and their colours (k, 4)."""
     colours = np.full((3, 4), alpha)
-    for number, colour in ((MAIN, paint), (LIGHT, trim), (DARK, _DARK)):
-        colours[number, :3] = np.array(colour) / 255.0
+    colours[:, :3] = paint_colours(paint, trim) / 255.0
     corners = mesh.triangles.ravel()
     return flu_from_frd(mesh.vertices[corners]), colours[mesh.paint[corners]]

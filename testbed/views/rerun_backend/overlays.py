@@ -17,8 +17,7 @@ from testbed.views.annotations import Canvas, name_aircraft, scale_bar
 from testbed.views.batch import Batch
 from testbed.views.cameras import CameraTrack
 from testbed.views.layout import UNITS
-from testbed.views.rerun_backend.static_entities import SCALE
-from testbed.views.scene import Scene
+from testbed.views.scene import TEXT_COLOUR, Scene
 
 Columns = Iterator[tuple[str, rr.ComponentColumnList]]  # entity below the camera's, and its columns
 
@@ -110,7 +109,7 @@ def overlay(
         rr.LineStrips3D.columns(
             strips=np.array([ends for ends, _ in bars], np.float32),
             labels=[text for _, text in bars],
-            colors=[SCALE] * len(bars),
+            colors=[TEXT_COLOUR] * len(bars),
         ),
     )
     if grid:
