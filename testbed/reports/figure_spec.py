@@ -44,7 +44,7 @@ class FigureSpec:
     caption: str
     rows: Sequence[Sequence[Panel | Panel3D]]
     height_in: float
-    widths: Sequence[float] = (1.0,)  # of the columns, relative
+    widths: Sequence[float] = ()  # of the columns, relative; empty: equal
     # whether the caption must name the followers that are drawn of many
     needs_selection_note: bool = True
 
@@ -62,7 +62,8 @@ class Figure:
 def make_figure(name: str, spec: FigureSpec, subtitle: str, note: str = "") -> Figure:
     """Make a figure; `note` is appended to the caption."""
     size_in = (WIDTH_IN, spec.height_in)
-    grid = PanelGrid(spec.title, subtitle, spec.rows, spec.widths, size_in)
+    widths = spec.widths or (1.0,) * len(spec.rows[0])
+    grid = PanelGrid(spec.title, subtitle, spec.rows, widths, size_in)
     return Figure(name, spec.title, spec.caption + note, grid)
 
 
@@ -157,16 +158,14 @@ class TimeAxis:
         y_label: str,
         lines: Sequence[Line],
         bands: Sequence[Band] = (),
-        *,
-        last: bool = False,
         **fields: Any,  # noqa: ANN401 - of Panel
     ) -> Panel:
-        """Make a panel; the first one names the windows, the last one labels the axis."""
+        """Make a panel; the first one names the windows."""
         spans = [replace(span, name="") for span in self._spans] if self._named else self._spans
         self._named = True
         return Panel(
             title,
-            TIME_LABEL if last else "",
+            "",
             y_label,
             lines,
             bands,
@@ -175,6 +174,11 @@ class TimeAxis:
             marks=self._marks,
             **fields,
         )
+
+
+def stack(panels: Sequence[Panel]) -> list[list[Panel]]:
+    """Put panels over the same time one below the other; the last one labels the axis."""
+    return [*([each] for each in panels[:-1]), [replace(panels[-1], x_label=TIME_LABEL)]]
 
 
 def stack_names(spans: Sequence[Span], length: float) -> list[Span]:

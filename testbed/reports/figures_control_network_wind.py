@@ -13,6 +13,7 @@ from testbed.reports.figure_spec import (
     bound_lines,
     padded_limits,
     samples_on_axis,
+    stack,
 )
 from testbed.reports.plot_selection import (
     MAX_SINGLE,
@@ -42,7 +43,7 @@ def commands(run: RunData, selection: PlotSelection) -> FigureSpec:
     needs_bank = bool(run.followers) and len(log.time_s) > 2
     if needs_bank:
         panels.append(_needed_bank(run, axis, bounds))
-    panels += [axis.quantity("pitch"), axis.quantity("throttle", last=True)]
+    panels += [axis.quantity("pitch"), axis.quantity("throttle")]
     caption = (
         "Solid: actual bank and pitch, and the commanded throttle; dashed: the fly-by-wire-A"
         " commands; thin solid lines: the limits of the bank command."
@@ -52,7 +53,7 @@ def commands(run: RunData, selection: PlotSelection) -> FigureSpec:
             " Second panel, dashed: the bank of a coordinated turn with which the follower would"
             " fly its slot exactly."
         )
-    rows = [[panel] for panel in panels]
+    rows = stack(panels)
     return FigureSpec("Bank, pitch and throttle", caption + axis.note, rows, 2.4 * len(rows))
 
 
@@ -82,8 +83,7 @@ def network(run: RunData, selection: PlotSelection) -> FigureSpec | None:
     at, mean, largest = interval_statistics(log.time_s, age)
     lines = [*follower_curves(at, mean, selection), *desired_curves(at, largest, selection)]
     bands = percentile_bands(at, mean, selection)
-    last = not missing.any()
-    rows = [[axis.panel(oldest.words, oldest.unit, lines, bands, last=last)]]
+    panels = [axis.panel(oldest.words, oldest.unit, lines, bands)]
     caption = (
         "Age of the oldest message that a follower used: mean (solid) and maximum (dashed) over"
         f" each of {AGE_INTERVALS} equal intervals."
@@ -91,15 +91,13 @@ def network(run: RunData, selection: PlotSelection) -> FigureSpec | None:
     if missing.any():
         lines, bands = _delivered_shares(run, sent, missing)
         title = f"messages delivered of those sent in the last {DELIVERY_WINDOW_S:g} s"
-        rows.append(
-            [axis.panel(title, "share, %", lines, bands, last=True, y_limits=(-3.0, 103.0))]
-        )
+        panels.append(axis.panel(title, "share, %", lines, bands, y_limits=(-3.0, 103.0)))
         caption += (
             f" Below: the share of the messages sent in the last {DELIVERY_WINDOW_S:g} s that"
             " arrived; thick: all links together; coloured: the links that delivered least;"
             " grey: from the worst to the best link."
         )
-    return FigureSpec("Network", caption, rows, 2.5 * len(rows) + 0.3)
+    return FigureSpec("Network", caption, stack(panels), 2.5 * len(panels) + 0.3)
 
 
 def wind(run: RunData, selection: PlotSelection) -> FigureSpec | None:
@@ -108,12 +106,12 @@ def wind(run: RunData, selection: PlotSelection) -> FigureSpec | None:
     if np.nanmax(np.abs(wind_ned), initial=0.0) < CALM_MPS:
         return None
     axis = TimeAxis(run, selection)
-    rows = [[axis.quantity("wind")], [axis.quantity("updraught", last=True)]]
+    panels = [axis.quantity("wind"), axis.quantity("updraught")]
     caption = (
         "Velocity of the air at each aircraft, averaged over its wing: mean wind, turbulence,"
         " gusts and wakes."
     )
-    return FigureSpec("Wind", caption + axis.note, rows, 5.2)
+    return FigureSpec("Wind", caption + axis.note, stack(panels), 5.2)
 
 
 def estimates(run: RunData, selection: PlotSelection) -> FigureSpec | None:
@@ -121,10 +119,7 @@ def estimates(run: RunData, selection: PlotSelection) -> FigureSpec | None:
     log, axis = run.log, TimeAxis(run, selection)
     if log.estimate is log.truth:
         return None
-    panels = [
-        axis.quantity("estimate_horizontal", last=not run.followers),
-        axis.quantity("estimate_height", last=not run.followers),
-    ]
+    panels = [axis.quantity("estimate_horizontal"), axis.quantity("estimate_height")]
     caption = "Errors of the aircraft's own estimates."
     if run.followers:
         estimated = np.sqrt(np.sum(log.formation.estimated_error_ned**2, axis=-1))
@@ -134,11 +129,11 @@ def estimates(run: RunData, selection: PlotSelection) -> FigureSpec | None:
         panels.append(
             axis.curves(
                 error, estimated, title="‖q̃‖, true and estimated", y_label="‖q̃‖, m",
-                y_limits=limits, last=True,
+                y_limits=limits,
             )
         )  # fmt: skip
         caption += " Below: the formation error, true (solid) and by the estimates (dashed)." + note
-    rows = [[panel] for panel in panels]
+    rows = stack(panels)
     return FigureSpec("Estimates", caption + axis.note, rows, 2.4 * len(rows) + 0.2)
 
 

@@ -42,14 +42,8 @@ def _functions(functions: Functions) -> FigureSpec:
         "Control functions",
         "Left: μ of (5) over the squared length of the formation error. Right: the length of ρ,"
         " which times k is the speed at which an error is closed.",
-        [
-            [
-                Panel("μ", "z = ‖ξ‖², m²", "μ", scalar),
-                Panel("‖ρ‖", "‖ξ‖, m", "‖ρ‖", length),
-            ]
-        ],
+        [[Panel("μ", "z = ‖ξ‖², m²", "μ", scalar), Panel("‖ρ‖", "‖ξ‖, m", "‖ρ‖", length)]],
         4.2,
-        (1.0, 1.0),
     )
 
 
@@ -59,22 +53,19 @@ def _barriers(barriers: Barriers) -> FigureSpec:
     for k, (label, (barrier, low, high)) in enumerate(barriers.items()):
         colour, _ = STYLES[k % len(STYLES)]
         s = np.linspace(max(low - NEAR, 0.0), high + NEAR, POINTS)
-        value, slope = barrier_curve(barrier, s, low, high)
-        value_lines.append(Line(s, value, colour, label, 1.4))
-        slope_lines.append(Line(s, slope, colour, label, 1.4))
+        for lines, y in zip(
+            (value_lines, slope_lines), barrier_curve(barrier, s, low, high), strict=True
+        ):
+            lines.append(Line(s, y, colour, label, 1.4))
     marks = [(bound, BLACK) for bound in bounds]
+    left = Panel("h", "s, m/s", "h", value_lines, marks=marks)
+    right = Panel("h'", "s, m/s", "h', s/m", slope_lines, marks=marks)
     return FigureSpec(
         "Barriers",
         "h of (14) and its derivative over the ground speed; dotted vertical lines: the speed"
         " bounds.",
-        [
-            [
-                Panel("h", "s, m/s", "h", value_lines, marks=marks),
-                Panel("h'", "s, m/s", "h', s/m", slope_lines, marks=marks),
-            ]
-        ],
+        [[left, right]],
         4.2,
-        (1.0, 1.0),
     )
 
 

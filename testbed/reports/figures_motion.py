@@ -15,6 +15,7 @@ from testbed.reports.figure_spec import (
     bound_lines,
     padded_limits,
     samples_on_axis,
+    stack,
 )
 from testbed.reports.plot_selection import PlotSelection
 from testbed.reports.run_data import RunData
@@ -28,11 +29,11 @@ MIN_BARRIER = 0.9  # above it everywhere, h is a straight line that needs no pan
 def altitude(run: RunData, selection: PlotSelection) -> FigureSpec:
     """Draw altitudes over time."""
     desired = run.mask_lost(-run.log.formation.slot_ned[..., 2])
-    panel = TimeAxis(run, selection).quantity("altitude", desired=desired, last=True)
+    panel = TimeAxis(run, selection).quantity("altitude", desired=desired)
     return FigureSpec(
         "Altitude",
         "Altitude above the origin over time; dashed: the altitudes of the slots.",
-        [[panel]],
+        stack([panel]),
         2.9,
     )
 
@@ -78,12 +79,12 @@ def error(run: RunData, selection: PlotSelection) -> FigureSpec | None:
     label: Any = {"title": "", "y_label": "‖q̃‖, m"}
     linear = axis.quantity("error", y_limits=(0.0, 1.15 * largest_on_axis), **label)
     limits = 0.8 * smallest, 1.6 * largest
-    logarithmic = axis.quantity("error", y_log=True, y_limits=limits, last=True, **label)
+    logarithmic = axis.quantity("error", y_log=True, y_limits=limits, **label)
     return FigureSpec(
         "Formation error ‖q̃‖",
         "Distance of each follower from its slot, on a linear axis above and a logarithmic one"
         " below; shaded: the windows over which RMS errors are computed." + note + axis.note,
-        [[linear], [logarithmic]],
+        stack([linear, logarithmic]),
         5.4,
     )
 
@@ -108,11 +109,11 @@ def speed(run: RunData, selection: PlotSelection) -> FigureSpec | None:
         panels = [axis.quantity("speed", leader=False, also=bounds)]
     panels.append(axis.quantity("flight_path_angle", leader=False))
     # percentiles of angles that wrap around mean nothing
-    panels.append(axis.quantity("course", leader=False, with_bands=False, last=True))
+    panels.append(axis.quantity("course", leader=False, with_bands=False))
     return FigureSpec(
         "Speed, flight-path angle and course",
         f"Solid: actual; dashed: desired; {bounds_note}." + axis.note,
-        [[panel] for panel in panels],
+        stack(panels),
         2.5 * len(panels),
     )
 
@@ -138,16 +139,12 @@ def barrier(run: RunData, selection: PlotSelection) -> FigureSpec | None:
         else:
             quantities.append((PLOTTED["barrier"], value))
             caption += " Below: the barrier function h at that speed, negative outside the bounds."
-    rows = [
-        [
-            axis.curves(
-                values, also=[bound], title=quantity.words, y_label=quantity.unit,
-                last=k == len(quantities),
-            )
-        ]
-        for k, (quantity, values) in enumerate(quantities, start=1)
-    ]  # fmt: skip
-    return FigureSpec("Speed bounds and barrier", caption, rows, 2.4 * len(rows) + 0.3)
+    panels = [
+        axis.curves(values, also=[bound], title=quantity.words, y_label=quantity.unit)
+        for quantity, values in quantities
+    ]
+    height_in = 2.4 * len(panels) + 0.3
+    return FigureSpec("Speed bounds and barrier", caption, stack(panels), height_in)
 
 
 def _bounded_speed(run: RunData) -> Array:
@@ -173,13 +170,11 @@ def _relative(
     actual = (position[:, 1:] - position[:, :1]) @ frame
     desired = (log.formation.slot_ned - position[:, :1]) @ frame
     on_axis, note = samples_on_axis(run)
-    rows = []
+    panels = []
     for k, label in enumerate(labels):
         values, targets = (run.mask_lost(each[..., k]) for each in (actual, desired))
         limits = padded_limits(
             [np.where(on_axis, values, np.nan), np.where(on_axis, targets, np.nan)], min_span=4.0
         )
-        rows.append(
-            [axis.curves(values, targets, title="", y_label=label, y_limits=limits, last=k == 2)]
-        )
-    return FigureSpec(title, caption + note, rows, 6.6)
+        panels.append(axis.curves(values, targets, title="", y_label=label, y_limits=limits))
+    return FigureSpec(title, caption + note, stack(panels), 6.6)
