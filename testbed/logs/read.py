@@ -73,6 +73,11 @@ class RunLog:
         return f"<Log of {self.info.scenario_name}: {records} of {self.size}; {events}>"
 
     @property
+    def time_ns(self) -> IntArray:
+        """Times of the samples (K,) since 1970 (UTC), ns."""
+        return self.info.start_unix_ns + self.tick * _NS // self.info.base_rate_hz
+
+    @property
     def size(self) -> str:
         """Samples, seconds and aircraft in words."""
         last = f", {self.time_s[-1] - self.time_s[0]:g} s" if self.time_s.size else ""

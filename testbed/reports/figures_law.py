@@ -53,10 +53,9 @@ def _barriers(barriers: Barriers) -> FigureSpec:
     for k, (label, (barrier, low, high)) in enumerate(barriers.items()):
         colour, _ = STYLES[k % len(STYLES)]
         s = np.linspace(max(low - NEAR, 0.0), high + NEAR, POINTS)
-        for lines, y in zip(
-            (value_lines, slope_lines), barrier_curve(barrier, s, low, high), strict=True
-        ):
-            lines.append(Line(s, y, colour, label, 1.4))
+        value, slope = barrier_curve(barrier, s, low, high)
+        value_lines.append(Line(s, value, colour, label, 1.4))
+        slope_lines.append(Line(s, slope, colour, label, 1.4))
     marks = [(bound, BLACK) for bound in bounds]
     left = Panel("h", "s, m/s", "h", value_lines, marks=marks)
     right = Panel("h'", "s, m/s", "h', s/m", slope_lines, marks=marks)

@@ -14,17 +14,17 @@ from pathlib import Path
 
 import numpy as np
 
-from testbed.core.frames import course, quaternion_xyzw
+from testbed.core.frames import quaternion_xyzw
 from testbed.core.records import Array, Observer
 from testbed.logs import foxglove_messages as draw
-from testbed.logs.proto_template import IntArray, TransformsTemplate
+from testbed.logs.proto_template import TransformsTemplate
 from testbed.logs.read import RunLog, replay
 from testbed.logs.recorder import Addition, McapRecorder
 from testbed.views import layout
 from testbed.views.airframes import draw_airframe, whole
 from testbed.views.annotations import BROAD, LOST, THIN, Links
 from testbed.views.batch import Batch, batch_of
-from testbed.views.cameras import BEHIND, CameraTrack, rotate_to_heading
+from testbed.views.cameras import hold_finite, leader_track, rotate_to_heading
 from testbed.views.meshes import Mesh
 from testbed.views.panels import Colour
 from testbed.views.scene import (
@@ -57,7 +57,6 @@ FORMATION_FRAME = "formation"
 LINES_HZ = 5.0  # of links, trails, wind and estimates
 TRAIL_STEP_S = 1.0
 TRAIL_POINTS = 600  # at most, of all aircraft together
-_NS = 10**9
 _FAINT: Colour = (96, 104, 118)
 _WHITE: Colour = (255, 255, 255)
 _GHOST_ALPHA, _DISC_ALPHA = 0.25, 0.27
@@ -105,11 +104,8 @@ class _SceneMessages:
         self._scene: Scene = scene_of(log.info)
         self._batch: Batch = batch_of(log, ())
         self._tick = log.tick
-        self._time_ns: IntArray = log.info.start_unix_ns + log.tick * _NS // log.info.base_rate_hz
-        centre = hold_finite(self._batch.position[:, 0])
-        heading = hold_finite(course(self._batch.velocity[:, 0]))
-        # the frame of the formation: where the leader is, turned with its course
-        self._track = CameraTrack(BEHIND, centre, heading, np.zeros(len(centre)))
+        self._time_ns = log.time_ns
+        self._track = leader_track(self._batch)  # the frame of the formation
         stride = max(1, round(log.info.sample_rate_hz / LINES_HZ))
         self._rows = np.arange(0, log.tick.size, stride)
         self._drawings = [
@@ -126,9 +122,8 @@ class _SceneMessages:
         octets = np.tile(np.frombuffer(template.data, np.uint8), (len(batch), 1))
         slots = hold_finite(batch.slot)
         positions = np.concatenate([self._track.centre[:, None], slots], axis=1)
-        euler = np.zeros((len(batch), len(children), 3))
-        euler[..., 2] = self._track.heading[:, None]
-        template.fill(octets, positions, quaternion_xyzw(euler), self._time_ns)
+        heading = np.repeat(self._track.quaternion[:, None], len(children), axis=1)
+        template.fill(octets, positions, heading, self._time_ns)
         for tick, row in zip(self._tick.tolist(), octets, strict=True):
             yield Addition(tick, FRAMES, draw.TRANSFORMS, row.tobytes())
 
@@ -276,17 +271,6 @@ def _painted(mesh: Mesh, paint: Colour, trim: Colour, alpha: float) -> list[draw
             )
         )
     return surfaces
-
-
-def hold_finite(values: Array) -> Array:
-    """Replace values (K, ...) that are not finite by the last finite ones before them, or zero."""
-    known = np.isfinite(values)
-    if known.all():
-        return values
-    rows = np.arange(len(values)).reshape(-1, *[1] * (values.ndim - 1))
-    last = np.maximum.accumulate(np.where(known, rows, -1), axis=0)
-    held = np.take_along_axis(values, np.maximum(last, 0), axis=0)
-    return np.where(last < 0, 0.0, held)
 
 
 def _along(vector: Array) -> Array:

@@ -13,7 +13,6 @@ import numpy as np
 
 from testbed.core.frames import (
     GRAVITY,
-    course,
     enu_from_ned,
     euler_enu_flu,
     flu_from_frd,
@@ -29,8 +28,7 @@ from testbed.logs.recorder import FixCovariance
 from testbed.views.airframes import draw_airframe, whole
 from testbed.views.annotations import Links
 from testbed.views.batch import batch_of
-from testbed.views.cameras import BEHIND, CameraTrack
-from testbed.views.foxglove_scene import hold_finite
+from testbed.views.cameras import hold_finite, leader_track
 from testbed.views.meshes import Mesh
 from testbed.views.panels import Colour
 from testbed.views.scene import BACKDROP, mix, paint_colours, scene_of, secondary_colour
@@ -78,7 +76,7 @@ class _Content:
     def __init__(self, log: RunLog, bag: ros.Ros2Bag) -> None:
         self._log, self._bag, info = log, bag, log.info
         self._names = identifiers(info.names)
-        self._time_ns = info.start_unix_ns + log.tick * _NS // info.base_rate_hz
+        self._time_ns = log.time_ns
         self._truth, self._estimate = _Motion(log.truth), _Motion(log.estimate)
         self._slots = hold_finite(enu_from_ned(log.formation.slot_ned))
         error = log.estimate.position_ned - log.truth.position_ned
@@ -86,12 +84,8 @@ class _Content:
         self._erring = bool(np.any(self._covariance))
         self._geodetic = geodetic_from_ned(log.estimate.position_ned, info.origin)
         self._scene, self._batch = scene_of(info), batch_of(log, ())
-        heading = hold_finite(course(self._batch.velocity[:, 0]))
-        centre = hold_finite(self._batch.position[:, 0])
-        self._track = CameraTrack(BEHIND, centre, heading, np.zeros(len(centre)))
-        level = np.zeros((len(heading), 3))
-        level[:, 2] = heading
-        self._heading = quaternion_xyzw(euler_enu_flu(level))
+        self._track = leader_track(self._batch)
+        self._heading = quaternion_xyzw(euler_enu_flu(self._track.euler))
 
     def write(self, advance: Callable[[int, int], None]) -> None:
         """Write all messages in order of time."""

@@ -11,7 +11,6 @@ from collections.abc import Iterator
 import numpy as np
 import rerun as rr
 
-from testbed.core.frames import quaternion_xyzw
 from testbed.core.records import Array
 from testbed.views.annotations import Canvas, name_aircraft, scale_bar
 from testbed.views.batch import Batch
@@ -33,11 +32,9 @@ ABOVE_CANVAS = Canvas(495.0, 340.0, LETTER_PX, LINE_PX)
 
 def camera_frame(track: CameraTrack) -> rr.ComponentColumnList:
     """Make the poses and scales of a camera's frame."""
-    euler = np.zeros((len(track.heading), 3))
-    euler[:, 2] = track.heading
     return rr.Transform3D.columns(
         translation=track.centre,
-        quaternion=quaternion_xyzw(euler),
+        quaternion=track.quaternion,
         scale=np.repeat(track.distance[:, None] / UNITS, 3, axis=1),
     )
 

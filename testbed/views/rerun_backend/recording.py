@@ -155,9 +155,7 @@ class RerunRecording:
         rows = self._every(layout.POSE_ROWS_PER_S)
         shown = batch.rows(rows)
         attitude = quaternion_xyzw(shown.euler)
-        level_euler = np.zeros((len(shown), 3))
-        level_euler[:, 2] = above.heading[rows]
-        heading = quaternion_xyzw(level_euler)
+        heading = above.rows(rows).quaternion
         deflection = np.stack([shown.aileron, shown.elevator, shown.rudder], axis=-1)
         for k, name in enumerate(self._scene.names):
             self._poses(f"world/aircraft/{name}", shown.time, shown.position[:, k], attitude[:, k])
