@@ -157,10 +157,10 @@ PLOTTED: Mapping[str, PlottedQuantity] = {
         computed=(lambda estimate, truth: -(estimate - truth)[..., 2], _POSITIONS),
     ),
     "age": PlottedQuantity(
-        "age of the oldest message used", "s",
+        "age of the oldest message in use", "s",
         computed=(lambda age: np.fmax.reduce(age, axis=-1), ("formation.age_s",)),
     ),
     "leader_age": PlottedQuantity(
-        "age of the leader's message used", "s", ("formation_age_s",), tab="network"
+        "age of the leader's message in use", "s", ("formation_age_s",), tab="network"
     ),
 }  # fmt: skip
