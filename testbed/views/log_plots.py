@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from testbed.core.identifiers import identifiers
@@ -25,36 +25,26 @@ class Curve:
     dashed: bool = False  # a desired or commanded value
 
 
-@dataclass(frozen=True, slots=True)
-class LogPlot:
-    """Curves on the same axes."""
-
-    title: str  # quantity and unit
-    curves: tuple[Curve, ...]
+# The curves of each plot by its title, quantity and unit, and the plots of each tab by its title.
+Plots = Mapping[str, Sequence[Curve]]
+Tabs = Mapping[str, Plots]
 
 
-@dataclass(frozen=True, slots=True)
-class Tab:
-    """Plots shown together, one below the other."""
-
-    title: str
-    plots: tuple[LogPlot, ...]
-
-
-def tabs(names: Sequence[str]) -> tuple[Tab, ...]:
+def tabs(names: Sequence[str]) -> Tabs:
     """List the plots of a run of these aircraft, the leader first; empty ones are left out."""
-    found: dict[str, list[LogPlot]] = {}
+    found: dict[str, dict[str, list[Curve]]] = {}
     for quantity in PLOTTED.values():
         for field in quantity.fields if quantity.tab else ():
             curves = _curves(names, QUANTITIES[field], QUANTITIES.get(quantity.desired))
             if curves:
-                found.setdefault(quantity.tab, []).append(LogPlot(_title(quantity, field), curves))
-    return tuple(Tab(title, tuple(plots)) for title, plots in found.items())
+                found.setdefault(quantity.tab, {})[_title(quantity, field)] = curves
+    return found
 
 
 def numeric_topics(names: Sequence[str]) -> tuple[str, ...]:
     """List the topics of numbers: those plotted, and the estimates."""
-    found = {c.topic for tab in tabs(names) for plot in tab.plots for c in plot.curves}
+    plots = (plot for tab in tabs(names).values() for plot in tab.values())
+    found = {curve.topic for plot in plots for curve in plot}
     return tuple(sorted(found | {f"/{name}/{ESTIMATE.name}" for name in names}))
 
 
@@ -68,7 +58,7 @@ def _title(quantity: PlottedQuantity, name: str) -> str:
     return named.label("commanded" if commanded else "desired" if quantity.desired else "")
 
 
-def _curves(names: Sequence[str], actual: Quantity, desired: Quantity | None) -> tuple[Curve, ...]:
+def _curves(names: Sequence[str], actual: Quantity, desired: Quantity | None) -> list[Curve]:
     curves = []
     for number, name in enumerate(names):
         for each in filter(None, (actual, desired)):
@@ -83,7 +73,7 @@ def _curves(names: Sequence[str], actual: Quantity, desired: Quantity | None) ->
                         dashed=each is desired,
                     )
                 )
-    return tuple(curves)
+    return curves
 
 
 def aircraft_hex(number: int) -> str:
