@@ -21,7 +21,7 @@ from testbed.logs.proto_template import TransformsTemplate
 from testbed.logs.read import RunLog, replay
 from testbed.logs.recorder import Addition, McapRecorder
 from testbed.views import layout
-from testbed.views.airframes import draw_airframe, whole
+from testbed.views.airframes import draw_fleet, whole
 from testbed.views.annotations import BROAD, LOST, THIN, Links
 from testbed.views.batch import Batch, batch_of
 from testbed.views.cameras import hold_finite, leader_track, rotate_to_heading
@@ -108,10 +108,7 @@ class _SceneMessages:
         self._track = leader_track(self._batch)  # the frame of the formation
         stride = max(1, round(log.info.sample_rate_hz / LINES_HZ))
         self._rows = np.arange(0, log.tick.size, stride)
-        self._drawings = [
-            draw_airframe(*each)
-            for each in zip(self._scene.airframes, self._scene.wingspan, strict=True)
-        ]
+        self._drawings = draw_fleet(self._scene.airframes, self._scene.wingspan)
         self._lost = self._batch.lost > 0.0
 
     def frames(self) -> Iterator[Addition]:

@@ -38,6 +38,7 @@ class PlottedQuantity:
         desired: name of its desired or commanded value in the log; "" without one.
         computed: its values, where they are not those of its only field.
         tab: of the layouts, with a plot for each of the fields; "": layouts do not have it.
+        wraps: an angle that is drawn within ±180°, with gaps where it wraps around.
     """
 
     words: str
@@ -46,6 +47,7 @@ class PlottedQuantity:
     desired: str = ""
     computed: Computed | None = None
     tab: str = ""
+    wraps: bool = False
 
     def label(self, also: str = "") -> str:
         """Return words and unit, as of an axis; `also`: what else is drawn."""
@@ -70,10 +72,9 @@ class PlottedQuantity:
         return self._in_unit(found.of(_array(run, found.source)))
 
     def _in_unit(self, values: Array) -> Array:
-        """Convert angles to degrees, a course with gaps where it wraps around."""
         if self.unit != DEGREES:
             return values
-        return break_at_wrap(np.degrees(wrap_pi(values))) if self is COURSE else np.degrees(values)
+        return break_at_wrap(np.degrees(wrap_pi(values))) if self.wraps else np.degrees(values)
 
 
 def _array(run: Batch | RunLog, source: str) -> Array:
@@ -101,10 +102,6 @@ def _ned(field: str) -> tuple[str, ...]:
     return tuple(field.format(axis) for axis in ("north", "east", "down"))
 
 
-COURSE = PlottedQuantity(
-    "course", DEGREES, ("formation_course_rad",), "formation_course_desired_rad",
-    (course, ("truth.velocity_ned",)), "law",
-)  # fmt: skip
 # By name, which in the viewer is that of an entity; in the order of the layouts.
 PLOTTED: Mapping[str, PlottedQuantity] = {
     "error": PlottedQuantity(
@@ -119,7 +116,10 @@ PLOTTED: Mapping[str, PlottedQuantity] = {
     "bounded_speed": PlottedQuantity("airspeed in the steady wind", "m/s"),
     "speed_margin": PlottedQuantity("margin to the nearer speed bound", "m/s"),
     "barrier": PlottedQuantity("speed barrier h of (14)"),
-    "course": COURSE,
+    "course": PlottedQuantity(
+        "course", DEGREES, ("formation_course_rad",), "formation_course_desired_rad",
+        (course, ("truth.velocity_ned",)), "law", wraps=True,
+    ),
     "flight_path_angle": PlottedQuantity(
         "flight-path angle", DEGREES, ("formation_flight_path_angle_rad",),
         "formation_flight_path_angle_desired_rad",
