@@ -194,7 +194,8 @@ def _plot(file: Path, scenario: Scenario, path: ProbePath, record: ProbeRecord) 
         psd_band,
         unresolved_waves,
     )
-    from testbed.views.air_figure import WindFigureData, save_wind_figure
+    from testbed.views.air_figure import WindFigureData, wind_figure
+    from testbed.views.matplotlib_backend import save_figure
 
     velocity = record.about_mean(path.course)
     found = estimate(velocity, path.rate_hz)
@@ -215,7 +216,7 @@ def _plot(file: Path, scenario: Scenario, path: ProbePath, record: ProbeRecord) 
         unresolved=unresolved_waves(scenario, path),
     )
     with report_write_errors(f"--plot {file}"):
-        save_wind_figure(picture, file)
+        save_figure(wind_figure(picture), file)
 
 
 def _document(scenario: Scenario, path: ProbePath, record: ProbeRecord) -> dict[str, Any]:

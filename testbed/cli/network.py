@@ -123,7 +123,8 @@ def _check_different(files: Mapping[str, Path]) -> None:
 def _plot(path: Path, scenario: Scenario, document: Document, messages: MessageRecord) -> None:
     import numpy as np
 
-    from testbed.views.network_figure import NetworkFigureData, save_network_figure
+    from testbed.views.matplotlib_backend import save_figure
+    from testbed.views.network_figure import NetworkFigureData, network_figure
 
     names = scenario.aircraft_names
     share = np.full((len(names) - 1, len(names)), np.nan)
@@ -143,7 +144,7 @@ def _plot(path: Path, scenario: Scenario, document: Document, messages: MessageR
         delays_s=delays,
     )
     with report_write_errors(f"--plot {path}"):
-        save_network_figure(data, path)
+        save_figure(network_figure(data), path)
 
 
 def _worst(document: Document) -> str:

@@ -2,9 +2,9 @@
 
 A field is declared once, in a named tuple of arrays (`VehicleState`, `FbwaCommand`, ...), which the
 public API, observers and own laws see. `record_of` makes the numpy dtype of it: MOTION, COMMAND,
-AIRCRAFT, FOLLOWER, LINK and so on. The state of a run is a few arrays of these records; kernels
-read and write them in place, a log sample is a copy of them, and `fields_of` views them as named
-tuples.
+AIRCRAFT, FOLLOWER, LINK and so on; a field annotated with `Logged` is also a column of the log, of
+its exports and of `FlightData`. The state of a run is a few arrays of these records; kernels read
+and write them in place, a log sample is a copy of them, and `fields_of` views them as named tuples.
 
 The leading axis of every array counts aircraft: row 0 is the leader, rows 1 to n are the followers
 in the order of the scenario's fleet. Units are SI and radians; vectors are resolved in the local
@@ -54,6 +54,24 @@ _NumbersT = TypeVar("_NumbersT")  # an array, or a number
 # Without the compiler a plain record has no attributes: kernels in a debugger need recarrays.
 _DEBUG = os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0")
 FEW = 100  # numbers of a record that are printed
+
+
+class Logged:
+    """Annotate a field of a record with its names in the log, one for each of its numbers.
+
+    Args:
+        names: their last word is the unit, as in `roll_rad`, unless they are dimensionless.
+        per_aircraft: the field has a value about each aircraft of the run, under one name.
+    """
+
+    def __init__(self, *names: str, per_aircraft: bool = False) -> None:
+        """See the class."""
+        self.names, self.per_aircraft = names, per_aircraft
+
+
+def logged_ned(quantity: str, unit: str) -> Logged:
+    """Name the components of a vector in the log: position_north_m, position_east_m, …."""
+    return Logged(*(f"{quantity}_{axis}_{unit}" for axis in ("north", "east", "down")))
 
 
 def allocate(dtype: np.dtype[Any], *shape: int) -> Records:
@@ -129,18 +147,28 @@ def short_repr(kind: type[_RecordT]) -> type[_RecordT]:
     return kind
 
 
+_BODY_RATES = Logged("roll_rate_radps", "pitch_rate_radps", "yaw_rate_radps")
+_WIND_GRADIENT = Logged(*(f"wind_gradient_{axis}_radps" for axis in ("roll", "pitch", "yaw")))
+
+
 @document_fields
 @short_repr
 class VehicleState(NamedTuple):
     """The motion of N aircraft: the truth, or an autopilot's estimate of it."""
 
-    position_ned: Vectors  # (N, 3) m, north, east, down from the origin
-    velocity_ned: Vectors  # (N, 3) m/s over the ground, north, east, down
-    acceleration_ned: Vectors  # (N, 3) m/s², derivative of velocity_ned
-    euler: Vectors  # (N, 3) roll, pitch, yaw, rad
-    rates_body: Vectors  # (N, 3) p, q, r, rad/s, about body axes forward, right, down
-    airspeed: Array  # (N,) true airspeed, m/s
-    equivalent_airspeed: Array  # (N,) m/s, what a pitot tube measures
+    # (N, 3) m, north, east, down from the origin
+    position_ned: Annotated[Vectors, logged_ned("position", "m")]
+    # (N, 3) m/s over the ground, north, east, down
+    velocity_ned: Annotated[Vectors, logged_ned("velocity", "mps")]
+    # (N, 3) m/s², derivative of velocity_ned
+    acceleration_ned: Annotated[Vectors, logged_ned("acceleration", "mps2")]
+    # (N, 3) roll, pitch, yaw, rad
+    euler: Annotated[Vectors, Logged("roll_rad", "pitch_rad", "yaw_rad")]
+    # (N, 3) p, q, r, rad/s, about body axes forward, right, down
+    rates_body: Annotated[Vectors, _BODY_RATES]
+    airspeed: Annotated[Array, Logged("airspeed_mps")]  # (N,) true airspeed, m/s
+    # (N,) m/s, what a pitot tube measures
+    equivalent_airspeed: Annotated[Array, Logged("equivalent_airspeed_mps")]
 
 
 def followers(state: VehicleState) -> VehicleState:
@@ -158,14 +186,18 @@ class AirData(NamedTuple):
     wind of the autopilot period before.
     """
 
-    alpha: Array  # (N,) angle of attack, rad
-    beta: Array  # (N,) sideslip, rad
-    propeller_rps: Array  # (N,) revolutions per second
-    wind_ned: Vectors  # (N, 3) m/s, velocity of the air
-    wind_gradient_rates: Vectors  # (N, 3) rad/s, rotation of the air about body axes
-    wake_delta_cl: Array  # (N,) rolling-moment coefficient of wakes
-    state_of_charge: Array  # (N,) 0..1 of the battery; NaN without a battery
-    battery_voltage: Array  # (N,) V at its terminals; NaN without a battery
+    alpha: Annotated[Array, Logged("alpha_rad")]  # (N,) angle of attack, rad
+    beta: Annotated[Array, Logged("beta_rad")]  # (N,) sideslip, rad
+    propeller_rps: Annotated[Array, Logged("propeller_rps")]  # (N,) revolutions per second
+    wind_ned: Annotated[Vectors, logged_ned("wind", "mps")]  # (N, 3) m/s, velocity of the air
+    # (N, 3) rad/s, rotation of the air about body axes
+    wind_gradient_rates: Annotated[Vectors, _WIND_GRADIENT]
+    # (N,) rolling-moment coefficient of wakes
+    wake_delta_cl: Annotated[Array, Logged("wake_delta_cl")]
+    # (N,) 0..1 of the battery; NaN without a battery
+    state_of_charge: Annotated[Array, Logged("state_of_charge")]
+    # (N,) V at its terminals; NaN without a battery
+    battery_voltage: Annotated[Array, Logged("battery_v")]
 
 
 def air_data(aircraft: Records) -> AirData:
@@ -192,9 +224,9 @@ class FbwaCommand(NamedTuple, Generic[_NumbersT]):
     Of N aircraft its fields are arrays; of one aircraft they are numbers.
     """
 
-    pitch: _NumbersT  # (N,) rad, nose up positive
-    roll: _NumbersT  # (N,) rad, right wing down positive
-    throttle: _NumbersT  # (N,) 0..1
+    pitch: Annotated[_NumbersT, Logged("pitch_rad")]  # (N,) rad, nose up positive
+    roll: Annotated[_NumbersT, Logged("roll_rad")]  # (N,) rad, right wing down positive
+    throttle: Annotated[_NumbersT, Logged("throttle")]  # (N,) 0..1
 
 
 @document_fields
@@ -213,10 +245,10 @@ class UnicycleCommand(NamedTuple):
 class ActuatorCommand(NamedTuple):
     """Normalised servo commands of an autopilot."""
 
-    aileron: Array  # (N,) -1..1, positive rolls right
-    elevator: Array  # (N,) -1..1, positive pitches up
-    rudder: Array  # (N,) -1..1, positive yaws right
-    throttle: Array  # (N,) 0..1
+    aileron: Annotated[Array, Logged("aileron")]  # (N,) -1..1, positive rolls right
+    elevator: Annotated[Array, Logged("elevator")]  # (N,) -1..1, positive pitches up
+    rudder: Annotated[Array, Logged("rudder")]  # (N,) -1..1, positive yaws right
+    throttle: Annotated[Array, Logged("throttle")]  # (N,) 0..1
 
 
 @document_fields
@@ -252,21 +284,27 @@ class FormationState(NamedTuple):
     Slots and errors are computed from the truth, and are not fed back.
     """
 
-    slot_ned: Vectors  # (n, 3) m, the desired position q_g + χ_i
-    error_ned: Vectors  # (n, 3) m, position − slot
-    speed: Array  # (n,) ground speed, m/s
-    speed_desired: Array  # (n,) s_d, m/s
-    airspeed_command: Array  # (n,) commanded airspeed, u + s_a − s after its limiter, m/s
-    course: Array  # (n,) rad
-    course_desired: Array  # (n,) rad
-    flight_path_angle: Array  # (n,) rad
-    flight_path_angle_desired: Array  # (n,) rad
-    limiter_flags: ByteArray  # (n,) bit set of formation.law.LimiterFlag
-    saturations: ByteArray  # (n,) bit set of formation.law.Saturation
-    slot_index: UIntArray  # (n,) slot of the follower, a row of the N
-    age_s: Array  # (n, n + 1) age of the message of aircraft j that follower i used, s; NaN: none
+    # (n, 3) m, the desired position q_g + χ_i
+    slot_ned: Annotated[Vectors, logged_ned("slot", "m")]
+    error_ned: Annotated[Vectors, logged_ned("error", "m")]  # (n, 3) m, position − slot
+    speed: Annotated[Array, Logged("speed_mps")]  # (n,) ground speed, m/s
+    speed_desired: Annotated[Array, Logged("speed_desired_mps")]  # (n,) s_d, m/s
+    # (n,) commanded airspeed, u + s_a − s after its limiter, m/s
+    airspeed_command: Annotated[Array, Logged("airspeed_command_mps")]
+    course: Annotated[Array, Logged("course_rad")]  # (n,) rad
+    course_desired: Annotated[Array, Logged("course_desired_rad")]  # (n,) rad
+    flight_path_angle: Annotated[Array, Logged("flight_path_angle_rad")]  # (n,) rad
+    flight_path_angle_desired: Annotated[Array, Logged("flight_path_angle_desired_rad")]  # (n,) rad
+    # (n,) bit set of formation.law.LimiterFlag
+    limiter_flags: Annotated[ByteArray, Logged("limiter_bits")]
+    # (n,) bit set of formation.law.Saturation
+    saturations: Annotated[ByteArray, Logged("saturation_bits")]
+    # (n,) slot of the follower, a row of the N
+    slot_index: Annotated[UIntArray, Logged("slot_index")]
+    # (n, n + 1) age of the message of aircraft j that follower i used, s; NaN: none
+    age_s: Annotated[Array, Logged("age_s", per_aircraft=True)]
     # (n, 3) m, formation error computed from the estimates; equals error_ned where they are exact
-    estimated_error_ned: Vectors
+    estimated_error_ned: Annotated[Vectors, logged_ned("estimated_error", "m")]
 
 
 @document_fields
@@ -301,8 +339,9 @@ def fault_state(faults: Records) -> FaultState:
 class LinkCounters(NamedTuple):
     """Messages on the links from N aircraft to their n followers since the start."""
 
-    sent: UIntArray  # (n, N)
-    delivered: UIntArray  # (n, N) of these, those that arrived or will arrive
+    sent: Annotated[UIntArray, Logged("sent_count", per_aircraft=True)]  # (n, N)
+    # (n, N) of these, those that arrived or will arrive
+    delivered: Annotated[UIntArray, Logged("delivered_count", per_aircraft=True)]
 
 
 def record_of(kind: type, *more: tuple[Any, ...], without: Sequence[str] = ()) -> np.dtype[Any]:
@@ -315,13 +354,31 @@ def record_of(kind: type, *more: tuple[Any, ...], without: Sequence[str] = ()) -
         without: fields that the records do not have.
     """
     fields: list[tuple[Any, ...]] = []
-    for name, hint in get_type_hints(kind, include_extras=True).items():
+    for name, (one, marks) in _declarations(kind).items():
         if name not in without:
-            array, *inner = get_args(hint) if get_origin(hint) is Annotated else (hint,)
-            one = _ONE.get(array, "f8")
+            inner = [mark for mark in marks if isinstance(mark, int)]
             # kernels read no array of bool
             fields.append((name, "u1" if one == "?" and inner else one, *inner))
     return np.dtype([*fields, *more], align=True)
+
+
+def logged_fields(kind: type) -> dict[str, tuple[str, Logged]]:
+    """Return the logged fields of a named tuple, each with the dtype of its numbers."""
+    return {
+        name: (one, mark)
+        for name, (one, marks) in _declarations(kind).items()
+        for mark in marks
+        if isinstance(mark, Logged)
+    }
+
+
+def _declarations(kind: type) -> dict[str, tuple[str, tuple[Any, ...]]]:
+    """Return the dtype of the numbers, and the annotations, of each field of a named tuple."""
+    found = {}
+    for name, hint in get_type_hints(kind, include_extras=True).items():
+        array, *marks = get_args(hint) if get_origin(hint) is Annotated else (hint,)
+        found[name] = _ONE.get(array, "f8"), tuple(marks)
+    return found
 
 
 # Of arrays and numbers that are not float64.
@@ -393,7 +450,8 @@ class Sample(NamedTuple):
     surfaces: ActuatorCommand  # (N)
     formation: FormationState  # (n)
     links: LinkCounters  # (n, N)
-    lost: BoolArray  # (N,) lost now or before: on the ground, stopped or collided
+    # (N,) lost now or before: on the ground, stopped or collided
+    lost: Annotated[BoolArray, Logged("lost")]
     events: tuple[Event, ...] = ()  # since the sample before
     faults: FaultState | None = None  # (N) active faults; None: the scenario has none
     # AIRCRAFT (N,), FOLLOWER (n,) and LINK (n, N) that the fields above are views of; None: the

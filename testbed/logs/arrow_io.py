@@ -15,7 +15,8 @@ from typing import IO, Any
 
 from testbed.core.errors import InputError, needs_extra
 from testbed.core.input_files import MAX_PARQUET_BYTES, open_regular
-from testbed.logs.flight_data import QUANTITIES, FlightData, Numbers, table_parts
+from testbed.logs.flight_data import FlightData, Numbers, table_parts
+from testbed.logs.messages import QUANTITIES
 
 with needs_extra("study", "Parquet"):
     import pyarrow as arrow

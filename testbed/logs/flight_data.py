@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from operator import attrgetter
 from typing import IO, TYPE_CHECKING, Any
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from testbed.core.errors import needs_extra
 from testbed.core.records import Array, BoolArray, Event, RunInfo
-from testbed.logs.messages import FIXED32, TOPICS
+from testbed.logs.messages import QUANTITIES, Quantity
 from testbed.logs.read import RunLog, read_log
 from testbed.logs.run_directory import METRICS_NAME, SCENARIO_NAME, find_run
 from testbed.scenario.arguments import check_path
@@ -27,62 +27,9 @@ if TYPE_CHECKING:
     import pandas
     import xarray
 
-# The last word of a name is its unit; other names are dimensionless.
-UNITS: Mapping[str, str] = {
-    "m": "m",
-    "mps": "m/s",
-    "mps2": "m/s²",
-    "rad": "rad",
-    "radps": "rad/s",
-    "rps": "1/s",
-    "s": "s",
-    "v": "V",
-}
 Numbers = NDArray[Any]
 TABLE_ROWS = 65_536  # in memory at once, and in a row group of Parquet
 MAX_SUGGESTIONS = 5  # in place of an unknown name
-
-
-@dataclass(frozen=True, slots=True)
-class Quantity:
-    """A field of the log: a number per sample and aircraft, or pair."""
-
-    name: str  # topic and field of the log: formation_error_north_m
-    unit: str  # "" if dimensionless
-    source: str  # path from Log
-    component: int | None  # of the array's last axis; None: all of it
-    followers_only: bool  # the leader has no value
-    per_aircraft: bool  # a value about every aircraft, (K, N, N)
-    integer: bool  # a count, an index or a set of bits
-
-    def columns(self, names: tuple[str, ...]) -> tuple[str, ...]:
-        """Name the table columns: one, or one for each aircraft, before the unit."""
-        if not self.per_aircraft:
-            return (self.name,)
-        stem, _, unit = self.name.rpartition("_")
-        return tuple(f"{stem}_{name}_{unit}" for name in names)
-
-
-def _quantities() -> dict[str, Quantity]:
-    found = {}
-    for topic in TOPICS:
-        for column in topic.columns:
-            for i, field in enumerate(column.names):
-                prefixed = field.startswith(f"{topic.name}_")
-                name = field if prefixed else f"{topic.name}_{field}"
-                found[name] = Quantity(
-                    name=name,
-                    unit=UNITS.get(field.rpartition("_")[2], ""),
-                    source=column.source,
-                    component=i if len(column.names) > 1 else None,
-                    followers_only=topic.followers_only,
-                    per_aircraft=column.per_aircraft,
-                    integer=column.type == FIXED32,
-                )
-    return found
-
-
-QUANTITIES: Mapping[str, Quantity] = _quantities()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,9 +114,7 @@ class FlightData:
 
     def values(self, quantity: Quantity, rows: slice = slice(None)) -> Numbers:
         """Return some samples of a quantity."""
-        values: Numbers = attrgetter(quantity.source)(self.log)[rows]
-        if quantity.component is not None:
-            values = values[..., quantity.component]
+        values: Numbers = quantity.of(attrgetter(quantity.source)(self.log)[rows])
         if quantity.source.startswith("links."):
             # before the log counts messages their number is unknown, not zero
             counted = self.log.links.sent[rows].any(axis=(1, 2), keepdims=True)

@@ -1,20 +1,23 @@
-"""Topics and fields of a log, from which writer, reader and schemas are made.
+"""Topics of a log and their fields, of which writer, reader, exports and schemas are made.
 
-A topic consists of columns. A column names the array of a `Sample` it comes from and the message
-fields its components become; field names end in their unit. A log also has Foxglove's own
-messages: `/tf`, `/tf_static`, `/<aircraft>/fix` and `/events`.
+A topic has columns: the fields of records of a `Sample` that are annotated with `Logged`, in their
+order there. A log also has Foxglove's own messages: `/tf`, `/tf_static`, `/<aircraft>/fix` and
+`/events`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any, get_origin, get_type_hints
 
 from testbed.core.identifiers import identifiers
+from testbed.core.records import Sample, logged_fields
 
 LOG_SCHEMA = 6  # raised when a topic or field is renamed, removed, required or of another meaning
 
 DOUBLE, FIXED32, BOOL = "double", "fixed32", "bool"  # protobuf types
+_TYPES = {"f8": DOUBLE, "u1": FIXED32, "u4": FIXED32, "?": BOOL}
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,9 +26,14 @@ class Column:
 
     source: str  # path from Sample: "truth.position_ned"
     names: tuple[str, ...]  # one field for each component
-    type: str = DOUBLE
-    per_aircraft: bool = False  # one field, a message with a value by the name of each aircraft
+    dtype: str  # of a component in a sample
+    per_aircraft: bool  # one field, a message with a value by the name of each aircraft
     default_source: str | None = None  # the column whose values hold where nothing was written
+
+    @property
+    def type(self) -> str:
+        """Protobuf type of a field."""
+        return _TYPES[self.dtype]
 
 
 @dataclass(frozen=True, slots=True, eq=False)  # hashed by identity, at every chunk
@@ -56,104 +64,117 @@ def aircraft_fields(names: Sequence[str]) -> dict[str, int]:
     return {name: first + k for k, name in enumerate(identifiers(names))}
 
 
-def _ned(quantity: str, unit: str) -> tuple[str, ...]:
-    return tuple(f"{quantity}_{axis}_{unit}" for axis in ("north", "east", "down"))
+# The record of each field of `Sample`.
+RECORDS: Mapping[str, Any] = {
+    name: get_origin(hint) or hint for name, hint in get_type_hints(Sample).items()
+}
 
 
-def _motion(record: str, *, default: str | None = None) -> tuple[Column, ...]:
-    """The columns of a `VehicleState`; unwritten values are those of the record `default`."""
-    columns = (
-        Column(f"{record}.position_ned", _ned("position", "m")),
-        Column(f"{record}.velocity_ned", _ned("velocity", "mps")),
-        Column(f"{record}.acceleration_ned", _ned("acceleration", "mps2")),
-        Column(f"{record}.euler", ("roll_rad", "pitch_rad", "yaw_rad")),
-        Column(f"{record}.rates_body", ("roll_rate_radps", "pitch_rate_radps", "yaw_rate_radps")),
-        Column(f"{record}.airspeed", ("airspeed_mps",)),
-        Column(f"{record}.equivalent_airspeed", ("equivalent_airspeed_mps",)),
-    )
-    if default is None:
-        return columns
-    return tuple(replace(c, default_source=c.source.replace(record, default)) for c in columns)
+def _column(source: str, default_source: str | None = None) -> Column:
+    """Make the column of a field that is annotated with `Logged`; its path is from `Sample`."""
+    record, _, field = source.rpartition(".")
+    dtype, logged = logged_fields(RECORDS[record] if record else Sample)[field]
+    return Column(source, logged.names, dtype, logged.per_aircraft, default_source)
+
+
+def _columns(record: str) -> tuple[Column, ...]:
+    """Make the columns of all logged fields of a record."""
+    return tuple(_column(f"{record}.{field}") for field in logged_fields(RECORDS[record]))
 
 
 STATE = Topic(
     "state",
     followers_only=False,
-    columns=(
-        *_motion("truth"),
-        Column("air.alpha", ("alpha_rad",)),
-        Column("air.beta", ("beta_rad",)),
-        Column("air.propeller_rps", ("propeller_rps",)),
-        Column("air.wind_ned", _ned("wind", "mps")),
-        Column(
-            "air.wind_gradient_rates",
-            ("wind_gradient_roll_radps", "wind_gradient_pitch_radps", "wind_gradient_yaw_radps"),
-        ),
-        Column("air.wake_delta_cl", ("wake_delta_cl",)),
-        # NaN without a battery
-        Column("air.state_of_charge", ("state_of_charge",)),
-        Column("air.battery_voltage", ("battery_v",)),
-        Column("surfaces.aileron", ("aileron",)),
-        Column("surfaces.elevator", ("elevator",)),
-        Column("surfaces.rudder", ("rudder",)),
-        Column("surfaces.throttle", ("throttle",)),
-        Column("lost", ("lost",), BOOL),
-    ),
+    columns=(*_columns("truth"), *_columns("air"), *_columns("surfaces"), _column("lost")),
 )
 # Written only in chunks in which an estimate differs from the true state.
-ESTIMATE = Topic("estimate", followers_only=False, columns=_motion("estimate", default="truth"))
-COMMAND = Topic(
-    "command",
+ESTIMATE = Topic(
+    "estimate",
     followers_only=False,
-    columns=(
-        Column("command.pitch", ("pitch_rad",)),
-        Column("command.roll", ("roll_rad",)),
-        Column("command.throttle", ("throttle",)),
+    columns=tuple(
+        replace(column, default_source=column.source.replace("estimate", "truth"))
+        for column in _columns("estimate")
     ),
 )
-FORMATION = Topic(
-    "formation",
-    followers_only=True,
-    columns=(
-        Column("formation.slot_ned", _ned("slot", "m")),
-        Column("formation.error_ned", _ned("error", "m")),
-        Column("formation.speed", ("speed_mps",)),
-        Column("formation.speed_desired", ("speed_desired_mps",)),
-        Column("formation.airspeed_command", ("airspeed_command_mps",)),
-        Column("formation.course", ("course_rad",)),
-        Column("formation.course_desired", ("course_desired_rad",)),
-        Column("formation.flight_path_angle", ("flight_path_angle_rad",)),
-        Column("formation.flight_path_angle_desired", ("flight_path_angle_desired_rad",)),
-        Column("formation.limiter_flags", ("limiter_bits",), FIXED32),
-        Column("formation.saturations", ("saturation_bits",), FIXED32),
-        # the slot that it flies in, as a row of the run's names; 0 is the leader's
-        Column("formation.slot_index", ("slot_index",), FIXED32),
-        # age of the data used of each aircraft; NaN: unused
-        Column("formation.age_s", ("age_s",), per_aircraft=True),
-    ),
-)
+COMMAND = Topic("command", followers_only=False, columns=_columns("command"))
 # The formation error computed from the estimates. Written only in chunks in which it differs from
 # the true error.
 ESTIMATED_ERROR = Topic(
     "estimated_error",
     followers_only=True,
-    columns=(
-        Column(
-            "formation.estimated_error_ned",
-            _ned("estimated_error", "m"),
-            default_source="formation.error_ned",
-        ),
+    columns=(_column("formation.estimated_error_ned", "formation.error_ned"),),
+)
+FORMATION = Topic(
+    "formation",
+    followers_only=True,
+    columns=tuple(
+        column
+        for column in _columns("formation")
+        if column.names != ESTIMATED_ERROR.columns[0].names
     ),
 )
 # Message counts since the start on the links to a follower, by sender. Written from the chunk with
 # the first lost message on.
-NETWORK = Topic(
-    "network",
-    followers_only=True,
-    columns=(
-        Column("links.sent", ("sent_count",), FIXED32, per_aircraft=True),
-        # of those sent, the ones that arrive, however late
-        Column("links.delivered", ("delivered_count",), FIXED32, per_aircraft=True),
-    ),
-)
+NETWORK = Topic("network", followers_only=True, columns=_columns("links"))
 TOPICS = (STATE, ESTIMATE, COMMAND, FORMATION, ESTIMATED_ERROR, NETWORK)
+
+# The last word of a name is its unit; other names are dimensionless.
+UNITS: Mapping[str, str] = {
+    "m": "m",
+    "mps": "m/s",
+    "mps2": "m/s²",
+    "rad": "rad",
+    "radps": "rad/s",
+    "rps": "1/s",
+    "s": "s",
+    "v": "V",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """A field of the log: a number per sample and aircraft, or pair."""
+
+    name: str  # topic and field of the log: formation_error_north_m
+    topic: Topic
+    field: str  # error_north_m
+    unit: str  # "" if dimensionless
+    source: str  # path from a sample, or a log with K samples
+    component: int | None  # of the array's last axis; None: all of it
+    followers_only: bool  # the leader has no value
+    per_aircraft: bool  # a value about every aircraft, (K, N, N)
+    integer: bool  # a count, an index or a set of bits
+
+    def of(self, array: Any) -> Any:  # noqa: ANN401 - an array of any type
+        """Return the values in the array of the source."""
+        return array if self.component is None else array[..., self.component]
+
+    def columns(self, names: tuple[str, ...]) -> tuple[str, ...]:
+        """Name the table columns: one, or one for each aircraft, before the unit."""
+        if not self.per_aircraft:
+            return (self.name,)
+        stem, _, unit = self.name.rpartition("_")
+        return tuple(f"{stem}_{name}_{unit}" for name in names)
+
+
+def _quantities(topic: Topic) -> Iterator[Quantity]:
+    for column in topic.columns:
+        for i, field in enumerate(column.names):
+            prefixed = field.startswith(f"{topic.name}_")
+            yield Quantity(
+                name=field if prefixed else f"{topic.name}_{field}",
+                topic=topic,
+                field=field,
+                unit=UNITS.get(field.rpartition("_")[2], ""),
+                source=column.source,
+                component=i if len(column.names) > 1 else None,
+                followers_only=topic.followers_only,
+                per_aircraft=column.per_aircraft,
+                integer=column.type == FIXED32,
+            )
+
+
+# By name.
+QUANTITIES: Mapping[str, Quantity] = {
+    each.name: each for topic in TOPICS for each in _quantities(topic)
+}

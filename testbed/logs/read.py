@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -29,7 +29,7 @@ from testbed.core.records import (
 from testbed.logs import mcap_file
 from testbed.logs.header import CODE_SUFFIX, INFO_NAME, METADATA_NAME, from_json
 from testbed.logs.mcap_file import LogError, McapContents
-from testbed.logs.messages import LOG_SCHEMA, STATE, TOPICS, Topic
+from testbed.logs.messages import LOG_SCHEMA, RECORDS, STATE, TOPICS, Topic
 from testbed.logs.proto_template import IntArray, topic_template
 from testbed.logs.run_directory import METRICS_NAME, SCENARIO_NAME
 from testbed.scenario import Scenario, loads
@@ -40,15 +40,7 @@ if TYPE_CHECKING:  # the package loads compiled functions, which a reader of log
 _NS = 10**9
 # Values of all samples: this number, and more for each byte of messages. Logs have 1 per byte.
 _MIN_VALUES, _MAX_VALUES_PER_BYTE = 10_000_000, 8
-_INTEGERS = {  # what is not a float64 in a sample
-    "formation.limiter_flags": "u1",
-    "formation.saturations": "u1",
-    "formation.slot_index": "u4",
-    "links.sent": "u4",
-    "links.delivered": "u4",
-    "lost": "?",
-}
-_RecordT = TypeVar("_RecordT")
+_RECORD_NAMES = ("truth", "estimate", "air", "command", "surfaces", "formation", "links")
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +73,11 @@ class RunLog:
         return f"<Log of {self.info.scenario_name}: {records} of {self.size}; {events}>"
 
     @property
+    def time_ns(self) -> IntArray:
+        """Times of the samples (K,) since 1970 (UTC), ns."""
+        return self.info.start_unix_ns + self.tick * _NS // self.info.base_rate_hz
+
+    @property
     def size(self) -> str:
         """Samples, seconds and aircraft in words."""
         last = f", {self.time_s[-1] - self.time_s[0]:g} s" if self.time_s.size else ""
@@ -103,12 +100,10 @@ def read_log(path: Path) -> RunLog:
     columns: dict[str, Any] = {}
     for topic in TOPICS:
         columns |= _read_columns(path, contents, topic, info, tick, columns)
-    for source, dtype in _INTEGERS.items():
-        # in samples without a message no bit is set and no message counted
-        columns[source] = np.nan_to_num(columns[source]).astype(dtype)
-    truth = _record(VehicleState, "truth", columns)
-    estimate = _record(VehicleState, "estimate", columns)
-    exact = all(one is other for one, other in zip(estimate, truth, strict=True))
+    records = {name: _record(name, columns) for name in _RECORD_NAMES}
+    truth, estimate = records["truth"], records["estimate"]
+    if all(one is other for one, other in zip(estimate, truth, strict=True)):
+        records["estimate"] = truth
     attached = contents.attachments.get(METRICS_NAME)
     metrics = _json(path, METRICS_NAME, attached) if attached else None
     return RunLog(
@@ -116,13 +111,7 @@ def read_log(path: Path) -> RunLog:
         metadata=contents.metadata.get(METADATA_NAME, {}),
         tick=tick,
         time_s=tick / info.base_rate_hz,
-        truth=truth,
-        estimate=truth if exact else estimate,
-        air=_record(AirData, "air", columns),
-        command=_record(FbwaCommand, "command", columns),
-        surfaces=_record(ActuatorCommand, "surfaces", columns),
-        formation=_record(FormationState, "formation", columns),
-        links=_record(LinkCounters, "links", columns),
+        **records,
         lost=columns["lost"],
         events=_events(path, contents, info.start_unix_ns),
         metrics=cast("Metrics | None", metrics or None),  # not checked: see metrics.check
@@ -137,7 +126,6 @@ def samples(log: RunLog) -> Iterator[Sample]:
     An event comes with the first sample at or after its time; events after the last sample are
     left out, as `Observer.end` gets them.
     """
-    exact = log.estimate is log.truth
     events = sorted(log.events, key=lambda event: event.time_s)
     used = 0
     for k in range(log.tick.size):
@@ -145,17 +133,10 @@ def samples(log: RunLog) -> Iterator[Sample]:
         first = used
         while used < len(events) and events[used].time_s <= time_s:
             used += 1
-        truth = _at(log.truth, k)
         yield Sample(
             tick=int(log.tick[k]),
             time_s=time_s,
-            truth=truth,
-            estimate=truth if exact else _at(log.estimate, k),
-            air=_at(log.air, k),
-            command=_at(log.command, k),
-            surfaces=_at(log.surfaces, k),
-            formation=_at(log.formation, k),
-            links=_at(log.links, k),
+            **_records_at(log, k),
             lost=log.lost[k],
             events=tuple(events[first:used]),
         )
@@ -174,14 +155,10 @@ def select_window(log: RunLog, begin_s: float, end_s: float) -> RunLog:
             f"{log.time_s[0]:g} and {log.time_s[-1]:g} s)"
         )
     rows = slice(first, last)
-    truth = _at(log.truth, rows)
-    others = ("air", "command", "surfaces", "formation", "links")
     return replace(
         log,
         **{name: getattr(log, name)[rows] for name in ("tick", "time_s", "lost")},
-        **{name: _at(getattr(log, name), rows) for name in others},
-        truth=truth,
-        estimate=truth if log.estimate is log.truth else _at(log.estimate, rows),
+        **_records_at(log, rows),
         events=tuple(event for event in log.events if begin_s <= event.time_s <= end_s),
     )
 
@@ -206,10 +183,15 @@ def scenario_of(log: RunLog) -> Scenario | None:
         return None
 
 
-def _at(record: _RecordT, k: int | slice) -> _RecordT:
-    """Take sample k, or the samples of a slice, of a record of stacked arrays."""
-    kind = type(record)
-    return kind(**{name: getattr(record, name)[k] for name in kind.__annotations__})
+def _records_at(log: RunLog, k: int | slice) -> dict[str, Any]:
+    """Take sample k, or the samples of a slice, of all records; `estimate` stays `truth`."""
+    found = {}
+    for name in _RECORD_NAMES:
+        record = getattr(log, name)
+        found[name] = type(record)(*(each[k] for each in record))
+    if log.estimate is log.truth:
+        found["estimate"] = found["truth"]
+    return found
 
 
 def _run_info(path: Path, contents: McapContents) -> RunInfo:
@@ -303,13 +285,19 @@ def _read_columns(
         for source, array in out.items():
             array[rows[known], i] = values[source][known]
     for column in topic.columns:
+        array = out[column.source]
         if len(column.names) == 1 and not column.per_aircraft:
-            out[column.source] = out[column.source][..., 0]
+            array = array[..., 0]
+        if column.dtype != "f8":
+            # in samples without a message no bit is set and no message counted
+            array = np.nan_to_num(array).astype(column.dtype)
+        out[column.source] = array
     return out
 
 
-def _record(kind: type[_RecordT], name: str, columns: Mapping[str, Array]) -> _RecordT:
-    return kind(**{field: columns[f"{name}.{field}"] for field in kind.__annotations__})
+def _record(name: str, columns: Mapping[str, Array]) -> Any:  # noqa: ANN401 - a named tuple
+    kind = RECORDS[name]
+    return kind(*(columns[f"{name}.{field}"] for field in kind._fields))
 
 
 def _events(path: Path, contents: McapContents, start_ns: int) -> tuple[Event, ...]:

@@ -121,17 +121,13 @@ class McapRecorder:
 
     def add_events(self, events: Sequence[Event]) -> None:
         """See `BlockObserver`."""
-        self.check_process()
-        with self._lock:
-            self._raise_writer_error()
+        with self._writing():
             number = len(self._buffer) - 1
             self._events.extend((number, event) for event in events)
 
     def take_block(self) -> None:
         """Write the samples of the buffer as a chunk, and empty it."""
-        self.check_process()
-        with self._lock:
-            self._raise_writer_error()
+        with self._writing():
             self._flush()
 
     @property
@@ -141,9 +137,7 @@ class McapRecorder:
 
     def observe(self, sample: Sample) -> None:
         """Copy a sample; write the chunk when it is full, and the tail when that is old."""
-        self.check_process()
-        with self._lock:
-            self._raise_writer_error()
+        with self._writing():
             buffer = self._buffer
             buffer.append(sample)
             self._events.extend((len(buffer) - 1, event) for event in sample.events)
@@ -158,9 +152,7 @@ class McapRecorder:
         The metrics are attached without wall-clock times, which differ from run to run. Without
         metrics, after an error before the flight, nothing is attached: the run counts as cut.
         """
-        self.check_process()
-        with self._lock:
-            self._raise_writer_error()
+        with self._writing():
             file = self._file
             if file is None:
                 return
@@ -173,9 +165,8 @@ class McapRecorder:
     def close(self) -> None:
         """Finish the file, without metrics if `end` was not called. Harmless when repeated."""
         self.check_process()
-        with self._lock:
-            self._closed.set()
-            self._raise_writer_error()
+        self._closed.set()
+        with self._writing():
             if self._file is not None:
                 file = self._file
                 self._flush()
@@ -212,10 +203,15 @@ class McapRecorder:
                 "flight of its own here"
             )
 
-    def _raise_writer_error(self) -> None:
-        error, self._writer_error = self._writer_error, None
-        if error is not None:
-            raise error
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        """Keep the thread from writing meanwhile; first raise the error that stopped it."""
+        self.check_process()
+        with self._lock:
+            error, self._writer_error = self._writer_error, None
+            if error is not None:
+                raise error
+            yield
 
     def _flush(self) -> None:
         """Write a chunk."""

@@ -10,6 +10,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from testbed.core.records import Array, BoolArray
+from testbed.reports.plot_selection import (
+    LEADER_COLOUR,
+    PlotSelection,
+    decimate,
+    desired_curves,
+    follower_curves,
+    percentile_bands,
+)
 from testbed.reports.run_data import RunData
 from testbed.views.panels import (
     BLACK,
@@ -23,6 +31,7 @@ from testbed.views.panels import (
     Span,
     unique_values,
 )
+from testbed.views.quantities import DEGREES, PLOTTED
 
 WIDTH_IN = 11.0  # of all figures
 
@@ -35,7 +44,7 @@ class FigureSpec:
     caption: str
     rows: Sequence[Sequence[Panel | Panel3D]]
     height_in: float
-    widths: Sequence[float] = (1.0,)  # of the columns, relative
+    widths: Sequence[float] = ()  # of the columns, relative; empty: equal
     # whether the caption must name the followers that are drawn of many
     needs_selection_note: bool = True
 
@@ -53,7 +62,8 @@ class Figure:
 def make_figure(name: str, spec: FigureSpec, subtitle: str, note: str = "") -> Figure:
     """Make a figure; `note` is appended to the caption."""
     size_in = (WIDTH_IN, spec.height_in)
-    grid = PanelGrid(spec.title, subtitle, spec.rows, spec.widths, size_in)
+    widths = spec.widths or (1.0,) * len(spec.rows[0])
+    grid = PanelGrid(spec.title, subtitle, spec.rows, widths, size_in)
     return Figure(name, spec.title, spec.caption + note, grid)
 
 
@@ -74,8 +84,9 @@ class TimeAxis:
         note: sentence of the caption on the marks of events; "" without events.
     """
 
-    def __init__(self, run: RunData) -> None:
+    def __init__(self, run: RunData, selection: PlotSelection) -> None:
         """Lay out windows and events of a run."""
+        self._run, self._selection = run, selection
         time = run.log.time_s
         self._limits = (float(time[0]), float(time[-1])) if time[-1] > time[0] else None
         self._spans = stack_names(
@@ -93,22 +104,68 @@ class TimeAxis:
         self._marks = [(each.time_s, EVENT_COLOURS[each.level]) for each in marked]
         self.note = EVENT_NOTE if marked else ""
 
+    def quantity(self, name: str, *, leader: bool = True, **more: Any) -> Panel:  # noqa: ANN401
+        """Make a panel of a quantity of `PLOTTED` and its desired value.
+
+        Args:
+            name: of the quantity.
+            leader: draw its values of all aircraft; False: those of followers in the log.
+            more: of `curves`.
+        """
+        quantity, run = PLOTTED[name], self._run
+        log = run.log
+        values = quantity.values(log) if leader else quantity.field(log, quantity.fields[0])
+        if quantity.desired:
+            desired = run.mask_lost(quantity.field(log, quantity.desired))
+            more["desired"] = desired[:, -len(run.followers) :] if run.followers else None
+        more = {"title": quantity.words, "y_label": quantity.unit} | more
+        return self.curves(run.mask_lost(values), y_degrees=quantity.unit == DEGREES, **more)
+
+    def curves(
+        self,
+        values: Array,
+        desired: Array | None = None,
+        *,
+        also: Sequence[Line] = (),
+        with_bands: bool = True,
+        **more: Any,  # noqa: ANN401 - of `panel`
+    ) -> Panel:
+        """Make a panel of aircraft as they are selected.
+
+        Args:
+            values: (K, N), or (K, n) of followers.
+            desired: (K, n), drawn dashed; None: without.
+            also: further curves.
+            with_bands: summarise many followers by a band.
+            more: of `panel`.
+        """
+        run, selection = self._run, self._selection
+        time, lines = run.log.time_s, []
+        if values.shape[1] == len(run.log.info.names):
+            at = decimate(values[:, 0])
+            name = run.log.info.names[0]
+            lines.append(Line(time[at], values[at, 0], LEADER_COLOUR, name, 0.9))
+            values = values[:, 1:]
+        lines += follower_curves(time, values, selection)
+        if desired is not None:
+            lines += desired_curves(time, desired, selection)
+        bands = percentile_bands(time, values, selection) if with_bands else ()
+        return self.panel(lines=[*lines, *also], bands=bands, **more)
+
     def panel(
         self,
         title: str,
         y_label: str,
         lines: Sequence[Line],
         bands: Sequence[Band] = (),
-        *,
-        last: bool = False,
         **fields: Any,  # noqa: ANN401 - of Panel
     ) -> Panel:
-        """Make a panel; the first one names the windows, the last one labels the axis."""
+        """Make a panel; the first one names the windows."""
         spans = [replace(span, name="") for span in self._spans] if self._named else self._spans
         self._named = True
         return Panel(
             title,
-            TIME_LABEL if last else "",
+            "",
             y_label,
             lines,
             bands,
@@ -117,6 +174,11 @@ class TimeAxis:
             marks=self._marks,
             **fields,
         )
+
+
+def stack(panels: Sequence[Panel]) -> list[list[Panel]]:
+    """Put panels over the same time one below the other; the last one labels the axis."""
+    return [*([each] for each in panels[:-1]), [replace(panels[-1], x_label=TIME_LABEL)]]
 
 
 def stack_names(spans: Sequence[Span], length: float) -> list[Span]:
@@ -171,11 +233,6 @@ def samples_on_axis(run: RunData) -> tuple[BoolArray, str]:
         left_out.append("aircraft that were lost in the run")
     note = f" Linear axes may cut off {' and '.join(left_out)}." if left_out else ""
     return selected, note
-
-
-def mask_without_slot(run: RunData, values: Array) -> Array:
-    """Set values (K, n) to NaN where a follower or the leader is lost."""
-    return np.where(run.without_slot, np.nan, values)
 
 
 def padded_limits(values: Sequence[Array], *, min_span: float = 1e-3) -> tuple[float, float] | None:

@@ -11,12 +11,11 @@ from testbed.reports.figure_spec import (
     FigureSpec,
     TimeAxis,
     bound_lines,
-    mask_without_slot,
     padded_limits,
     samples_on_axis,
+    stack,
 )
 from testbed.reports.plot_selection import (
-    LEADER_COLOUR,
     MAX_SINGLE,
     STYLES,
     DrawnFollower,
@@ -28,6 +27,7 @@ from testbed.reports.plot_selection import (
 )
 from testbed.reports.run_data import RunData
 from testbed.views.panels import BLACK, GREY, Band, Line, Panel
+from testbed.views.quantities import PLOTTED
 
 DELIVERY_WINDOW_S = 10.0  # of the share of delivered messages
 AGE_INTERVALS = 100
@@ -36,74 +36,54 @@ MAX_LINKS = 4  # drawn one by one
 
 def commands(run: RunData, selection: PlotSelection) -> FigureSpec:
     """Draw bank with its limits, the bank that the slots need, pitch and throttle."""
-    log, axis, time = run.log, TimeAxis(run), run.log.time_s
-    alive = np.where(log.lost, np.nan, 1.0)
-    bank, pitch = (np.degrees(log.truth.euler[..., k]) * alive for k in (0, 1))
-    bank_command, pitch_command = (
-        np.degrees(each) * alive for each in (log.command.roll, log.command.pitch)
-    )
-    rows = []
-    quantities = (
-        ("bank", "bank, °", bank, bank_command),
-        ("pitch", "pitch, °", pitch, pitch_command),
-        ("commanded throttle", "throttle, %", 100.0 * log.command.throttle * alive, None),
-    )
-    for title, unit, actual, commanded in quantities:
-        lines = _all_curves(run, actual, selection)
-        if commanded is not None:
-            lines += desired_curves(time, commanded[:, 1:], selection)
-        if title == "bank":
-            limits = np.degrees(log.info.roll_limit_rad)
-            bounds = bound_lines(time, np.stack((-limits, limits)), "bank limits")
-            lines += bounds
-        bands = percentile_bands(time, actual[:, 1:], selection)
-        last = commanded is None
-        rows.append([axis.panel(title, unit, lines, bands, last=last, y_degrees=not last)])
-        if title == "bank" and run.followers and len(time) > 2:
-            rows.append([_needed_bank(run, selection, axis, bank[:, 1:], bounds)])
+    log, axis = run.log, TimeAxis(run, selection)
+    limits = np.degrees(log.info.roll_limit_rad)
+    bounds = bound_lines(log.time_s, np.stack((-limits, limits)), "bank limits")
+    panels = [axis.quantity("bank", also=bounds)]
+    needs_bank = bool(run.followers) and len(log.time_s) > 2
+    if needs_bank:
+        panels.append(_needed_bank(run, axis, bounds))
+    panels += [axis.quantity("pitch"), axis.quantity("throttle")]
     caption = (
         "Solid: actual bank and pitch, and the commanded throttle; dashed: the fly-by-wire-A"
         " commands; thin solid lines: the limits of the bank command."
     )
-    if len(rows) > len(quantities):
+    if needs_bank:
         caption += (
             " Second panel, dashed: the bank of a coordinated turn with which the follower would"
             " fly its slot exactly."
         )
+    rows = stack(panels)
     return FigureSpec("Bank, pitch and throttle", caption + axis.note, rows, 2.4 * len(rows))
 
 
-def _needed_bank(
-    run: RunData, selection: PlotSelection, axis: TimeAxis, bank: Array, bounds: list[Line]
-) -> Panel:
-    """Make the panel of banks (K, n), degrees, beside those that the slots need."""
+def _needed_bank(run: RunData, axis: TimeAxis, bounds: list[Line]) -> Panel:
+    """Make the panel of the followers' banks, beside those that the slots need."""
     log, time = run.log, run.log.time_s
+    bank = run.mask_lost(PLOTTED["bank"].values(log))[:, 1:]
     needed = np.full(bank.shape, np.nan)
     formation, wind_ned = log.formation, log.air.wind_ned[:, 1:]
     needed[1:-1] = np.degrees(needed_bank(time, formation.slot_ned, formation.slot_index, wind_ned))
-    needed = mask_without_slot(run, needed)
-    lines = [*follower_curves(time, bank, selection), *desired_curves(time, needed, selection)]
     # in turbulence the slots of a disturbed leader need far larger banks than are flown
     limits = padded_limits([bank, *(line.y for line in bounds)])
-    return axis.panel(
-        "bank, and the bank needed to fly the slot exactly", "bank, °", [*lines, *bounds],
-        percentile_bands(time, bank, selection), y_degrees=True, y_limits=limits,
+    return axis.curves(
+        bank, run.mask_lost(needed), also=bounds, y_degrees=True, y_limits=limits,
+        title="bank, and the bank needed to fly the slot exactly", y_label=PLOTTED["bank"].unit,
     )  # fmt: skip
 
 
 def network(run: RunData, selection: PlotSelection) -> FigureSpec | None:
     """Draw the ages of the messages used, and the share of messages delivered."""
-    log, axis, time = run.log, TimeAxis(run), run.log.time_s
-    age_ms = 1e3 * np.fmax.reduce(log.formation.age_s, axis=-1)
+    log, axis, oldest = run.log, TimeAxis(run, selection), PLOTTED["age"]
+    age = oldest.values(log)
     sent = log.links.sent.astype(np.float64)
     missing = sent - log.links.delivered
-    if not np.nanmax(age_ms, initial=0.0) > 0.0 and not missing.any():
+    if not np.nanmax(age, initial=0.0) > 0.0 and not missing.any():
         return None
-    at, mean, largest = interval_statistics(time, age_ms)
+    at, mean, largest = interval_statistics(log.time_s, age)
     lines = [*follower_curves(at, mean, selection), *desired_curves(at, largest, selection)]
     bands = percentile_bands(at, mean, selection)
-    title = "age of the oldest message in use"
-    rows = [[axis.panel(title, "age, ms", lines, bands, last=not missing.any())]]
+    panels = [axis.panel(oldest.words, oldest.unit, lines, bands)]
     caption = (
         "Age of the oldest message that a follower used: mean (solid) and maximum (dashed) over"
         f" each of {AGE_INTERVALS} equal intervals."
@@ -111,67 +91,49 @@ def network(run: RunData, selection: PlotSelection) -> FigureSpec | None:
     if missing.any():
         lines, bands = _delivered_shares(run, sent, missing)
         title = f"messages delivered of those sent in the last {DELIVERY_WINDOW_S:g} s"
-        rows.append(
-            [axis.panel(title, "share, %", lines, bands, last=True, y_limits=(-3.0, 103.0))]
-        )
+        panels.append(axis.panel(title, "share, %", lines, bands, y_limits=(-3.0, 103.0)))
         caption += (
             f" Below: the share of the messages sent in the last {DELIVERY_WINDOW_S:g} s that"
             " arrived; thick: all links together; coloured: the links that delivered least;"
             " grey: from the worst to the best link."
         )
-    return FigureSpec("Network", caption, rows, 2.5 * len(rows) + 0.3)
+    return FigureSpec("Network", caption, stack(panels), 2.5 * len(panels) + 0.3)
 
 
 def wind(run: RunData, selection: PlotSelection) -> FigureSpec | None:
     """Draw the wind at each aircraft."""
-    log, axis, time = run.log, TimeAxis(run), run.log.time_s
-    wind_ned = np.where(log.lost[..., None], np.nan, log.air.wind_ned)
+    wind_ned = np.where(run.log.lost[..., None], np.nan, run.log.air.wind_ned)
     if np.nanmax(np.abs(wind_ned), initial=0.0) < CALM_MPS:
         return None
-    horizontal, upwards = np.hypot(wind_ned[..., 0], wind_ned[..., 1]), -wind_ned[..., 2]
-    rows: list[list[Panel]] = []
-    for title, unit, values in (
-        ("horizontal wind", "speed, m/s", horizontal),
-        ("vertical wind", "upwards, m/s", upwards),
-    ):
-        lines = _all_curves(run, values, selection)
-        bands = percentile_bands(time, values[:, 1:], selection)
-        rows.append([axis.panel(title, unit, lines, bands, last=values is upwards)])
+    axis = TimeAxis(run, selection)
+    panels = [axis.quantity("wind"), axis.quantity("updraught")]
     caption = (
         "Velocity of the air at each aircraft, averaged over its wing: mean wind, turbulence,"
         " gusts and wakes."
     )
-    return FigureSpec("Wind", caption + axis.note, rows, 5.2)
+    return FigureSpec("Wind", caption + axis.note, stack(panels), 5.2)
 
 
 def estimates(run: RunData, selection: PlotSelection) -> FigureSpec | None:
     """Draw the position errors of estimates, and the formation error by them."""
-    log, axis, time = run.log, TimeAxis(run), run.log.time_s
+    log, axis = run.log, TimeAxis(run, selection)
     if log.estimate is log.truth:
         return None
-    error = log.estimate.position_ned - log.truth.position_ned
-    error = np.where(log.lost[..., None], np.nan, error)
-    horizontal, height = np.hypot(error[..., 0], error[..., 1]), -error[..., 2]
-    rows = []
-    for title, unit, values in (
-        ("horizontal position, estimate − truth", "distance, m", horizontal),
-        ("height, estimate − truth", "height, m", height),
-    ):
-        lines = _all_curves(run, values, selection)
-        bands = percentile_bands(time, values[:, 1:], selection)
-        rows.append([axis.panel(title, unit, lines, bands, last=not run.followers)])
+    panels = [axis.quantity("estimate_horizontal"), axis.quantity("estimate_height")]
     caption = "Errors of the aircraft's own estimates."
     if run.followers:
         estimated = np.sqrt(np.sum(log.formation.estimated_error_ned**2, axis=-1))
-        estimated = mask_without_slot(run, estimated)
+        estimated, error = run.mask_lost(estimated), run.error
         on_axis, note = samples_on_axis(run)
-        limits = padded_limits([np.where(on_axis, each, np.nan) for each in (estimated, run.error)])
-        lines = [*follower_curves(time, run.error, selection)]
-        lines += desired_curves(time, estimated, selection)
-        bands = percentile_bands(time, run.error, selection)
-        title = "‖q̃‖, true and estimated"
-        rows.append([axis.panel(title, "‖q̃‖, m", lines, bands, last=True, y_limits=limits)])
+        limits = padded_limits([np.where(on_axis, each, np.nan) for each in (estimated, error)])
+        panels.append(
+            axis.curves(
+                error, estimated, title="‖q̃‖, true and estimated", y_label="‖q̃‖, m",
+                y_limits=limits,
+            )
+        )  # fmt: skip
         caption += " Below: the formation error, true (solid) and by the estimates (dashed)." + note
+    rows = stack(panels)
     return FigureSpec("Estimates", caption + axis.note, rows, 2.4 * len(rows) + 0.2)
 
 
@@ -196,14 +158,6 @@ def interval_statistics(time: Array, values: Array) -> tuple[Array, Array, Array
         np.pad(time, (0, padding), constant_values=np.nan).reshape(-1, samples), axis=1
     )
     return mean_time, mean, np.fmax.reduce(blocks, axis=1)
-
-
-def _all_curves(run: RunData, values: Array, selection: PlotSelection) -> list[Line]:
-    """Make the curves of the leader and the followers, of values (K, N)."""
-    time = run.log.time_s
-    at = decimate(values[:, 0])
-    leader = Line(time[at], values[at, 0], LEADER_COLOUR, run.log.info.names[0], 0.9)
-    return [leader, *follower_curves(time, values[:, 1:], selection)]
 
 
 def _delivered_shares(

@@ -42,14 +42,8 @@ def _functions(functions: Functions) -> FigureSpec:
         "Control functions",
         "Left: μ of (5) over the squared length of the formation error. Right: the length of ρ,"
         " which times k is the speed at which an error is closed.",
-        [
-            [
-                Panel("μ", "z = ‖ξ‖², m²", "μ", scalar),
-                Panel("‖ρ‖", "‖ξ‖, m", "‖ρ‖", length),
-            ]
-        ],
+        [[Panel("μ", "z = ‖ξ‖², m²", "μ", scalar), Panel("‖ρ‖", "‖ξ‖, m", "‖ρ‖", length)]],
         4.2,
-        (1.0, 1.0),
     )
 
 
@@ -63,18 +57,14 @@ def _barriers(barriers: Barriers) -> FigureSpec:
         value_lines.append(Line(s, value, colour, label, 1.4))
         slope_lines.append(Line(s, slope, colour, label, 1.4))
     marks = [(bound, BLACK) for bound in bounds]
+    left = Panel("h", "s, m/s", "h", value_lines, marks=marks)
+    right = Panel("h'", "s, m/s", "h', s/m", slope_lines, marks=marks)
     return FigureSpec(
         "Barriers",
         "h of (14) and its derivative over the ground speed; dotted vertical lines: the speed"
         " bounds.",
-        [
-            [
-                Panel("h", "s, m/s", "h", value_lines, marks=marks),
-                Panel("h'", "s, m/s", "h', s/m", slope_lines, marks=marks),
-            ]
-        ],
+        [[left, right]],
         4.2,
-        (1.0, 1.0),
     )
 
 

@@ -162,6 +162,5 @@ def corner(run: RunData, selection: PlotSelection) -> FigureSpec | None:
         " were lost in the run are left out." + selection.worst_note,
         [panels[:2], panels[2:]],
         7.6,
-        (1.0, 1.0),
         needs_selection_note=False,
     )

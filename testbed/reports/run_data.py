@@ -16,6 +16,7 @@ from testbed.metrics import MetricsObserver
 from testbed.metrics.check import check_metrics
 from testbed.metrics.model import Metrics
 from testbed.scenario import Scenario
+from testbed.views.quantities import PLOTTED
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,8 +43,12 @@ class RunData:
     @property
     def error(self) -> Array:
         """‖q̃_i‖ (K, n), m; NaN for followers without a slot."""
-        error = np.sqrt(np.sum(self.log.formation.error_ned**2, axis=-1))
-        return np.where(self.without_slot, np.nan, error)
+        return self.mask_lost(PLOTTED["error"].values(self.log))
+
+    def mask_lost(self, values: Array) -> Array:
+        """Set values (K, N) to NaN where an aircraft is lost, (K, n) where there is no slot."""
+        every = values.shape[1] == len(self.log.info.names)
+        return np.where(self.log.lost if every else self.without_slot, np.nan, values)
 
     @property
     def outcome(self) -> str:

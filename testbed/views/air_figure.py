@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -57,17 +56,6 @@ def wind_figure(data: WindFigureData) -> PanelGrid:
         for k in range(3)
     ]
     return PanelGrid(data.title, data.subtitle, rows, (1.25, 1.0, 1.0) if two else (1.4, 1.0))
-
-
-def save_wind_figure(data: WindFigureData, path: Path) -> None:
-    """Write the figure.
-
-    Raises:
-        OSError: The file cannot be written.
-    """
-    from testbed.views.matplotlib_backend import save_figure
-
-    save_figure(wind_figure(data), path)
 
 
 def _record(data: WindFigureData, k: int) -> Panel:

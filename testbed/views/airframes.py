@@ -6,7 +6,7 @@ drawing is drawn as a generic aeroplane of its wingspan.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -274,6 +274,11 @@ def generic_aeroplane(wingspan_m: float) -> AirframeDrawing:
         surface(fin, MAIN),
     )
     return AirframeDrawing(body, None)
+
+
+def draw_fleet(names: Sequence[str], wingspans_m: Sequence[float]) -> list[AirframeDrawing]:
+    """Draw the airframe of each aircraft."""
+    return [draw_airframe(*each) for each in zip(names, wingspans_m, strict=True)]
 
 
 def whole(drawing: AirframeDrawing) -> Mesh:

@@ -6,72 +6,48 @@ Batches are pickled for another process when the view is live.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
-from typing import Any, Protocol
+from dataclasses import dataclass, field, fields, replace
+from operator import attrgetter
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.core.records import (
-    ActuatorCommand,
-    AirData,
-    Array,
-    BoolArray,
-    Event,
-    FbwaCommand,
-    FormationState,
-    LinkCounters,
-    Sample,
-    VehicleState,
-)
+from testbed.core.records import Array, Event, Sample
+
+if TYPE_CHECKING:  # the process that feeds a viewer needs no reader of logs
+    from testbed.logs.read import RunLog
 
 
-class Source(Protocol):
-    """A sample, or a log, whose arrays have K samples on the leading axis."""
-
-    @property
-    def time_s(self) -> Any: ...  # noqa: ANN401, D102 - a number, or (K,)
-    @property
-    def truth(self) -> VehicleState: ...  # noqa: D102
-    @property
-    def estimate(self) -> VehicleState: ...  # noqa: D102
-    @property
-    def air(self) -> AirData: ...  # noqa: D102
-    @property
-    def command(self) -> FbwaCommand[Array]: ...  # noqa: D102
-    @property
-    def surfaces(self) -> ActuatorCommand: ...  # noqa: D102
-    @property
-    def formation(self) -> FormationState: ...  # noqa: D102
-    @property
-    def links(self) -> LinkCounters: ...  # noqa: D102
-    @property
-    def lost(self) -> BoolArray: ...  # noqa: D102
+def _column(source: str) -> Any:  # noqa: ANN401 - a field of a dataclass
+    """Declare a column with its source, a path from a sample and from a log alike."""
+    return field(metadata={"source": source})
 
 
 @dataclass(frozen=True, slots=True)
 class Batch:
     """Columns of m consecutive samples of N aircraft and n followers."""
 
-    time: Array  # (m,) s
-    position: Array  # (m, N, 3) m NED
-    velocity: Array  # (m, N, 3) m/s NED
-    euler: Array  # (m, N, 3) rad
-    estimated_position: Array  # (m, N, 3) m NED
-    wind: Array  # (m, N, 3) m/s NED
-    aileron: Array  # (m, N) -1..1
-    elevator: Array  # (m, N) -1..1
-    rudder: Array  # (m, N) -1..1
-    throttle: Array  # (m, N) commanded, 0..1
-    lost: Array  # (m, N) 1: lost
-    slot: Array  # (m, n, 3) m NED
-    error: Array  # (m, n, 3) m NED
-    speed_desired: Array  # (m, n) m/s
-    course_desired: Array  # (m, n) rad
-    flight_path_angle_desired: Array  # (m, n) rad
-    age: Array  # (m, n, N) s, of the data that a follower used of each aircraft; NaN: unused
-    sent: Array  # (m, n, N) messages since the start
-    delivered: Array  # (m, n, N) of these, the ones that arrive
+    time: Array = _column("time_s")  # (m,) s
+    position: Array = _column("truth.position_ned")  # (m, N, 3) m NED
+    velocity: Array = _column("truth.velocity_ned")  # (m, N, 3) m/s NED
+    euler: Array = _column("truth.euler")  # (m, N, 3) rad
+    estimated_position: Array = _column("estimate.position_ned")  # (m, N, 3) m NED
+    wind: Array = _column("air.wind_ned")  # (m, N, 3) m/s NED
+    aileron: Array = _column("surfaces.aileron")  # (m, N) -1..1
+    elevator: Array = _column("surfaces.elevator")  # (m, N) -1..1
+    rudder: Array = _column("surfaces.rudder")  # (m, N) -1..1
+    throttle: Array = _column("command.throttle")  # (m, N) commanded, 0..1
+    lost: Array = _column("lost")  # (m, N) 1: lost
+    slot: Array = _column("formation.slot_ned")  # (m, n, 3) m NED
+    error: Array = _column("formation.error_ned")  # (m, n, 3) m NED
+    speed_desired: Array = _column("formation.speed_desired")  # (m, n) m/s
+    course_desired: Array = _column("formation.course_desired")  # (m, n) rad
+    flight_path_angle_desired: Array = _column("formation.flight_path_angle_desired")  # (m, n) rad
+    # (m, n, N) s, of the data that a follower used of each aircraft; NaN: unused
+    age: Array = _column("formation.age_s")
+    sent: Array = _column("links.sent")  # (m, n, N) messages since the start
+    delivered: Array = _column("links.delivered")  # (m, n, N) of these, the ones that arrive
     events: tuple[Event, ...] = ()
 
     def __len__(self) -> int:
@@ -83,29 +59,9 @@ class Batch:
         return _batch({name: getattr(self, name)[chosen] for name in COLUMNS})
 
 
-# The source of each column, in a sample and in a log alike.
-COLUMNS: Mapping[str, Callable[[Source], Any]] = {
-    "time": lambda source: source.time_s,
-    "position": lambda source: source.truth.position_ned,
-    "velocity": lambda source: source.truth.velocity_ned,
-    "euler": lambda source: source.truth.euler,
-    "estimated_position": lambda source: source.estimate.position_ned,
-    "wind": lambda source: source.air.wind_ned,
-    "aileron": lambda source: source.surfaces.aileron,
-    "elevator": lambda source: source.surfaces.elevator,
-    "rudder": lambda source: source.surfaces.rudder,
-    "throttle": lambda source: source.command.throttle,
-    "lost": lambda source: source.lost,
-    "slot": lambda source: source.formation.slot_ned,
-    "error": lambda source: source.formation.error_ned,
-    "speed_desired": lambda source: source.formation.speed_desired,
-    "course_desired": lambda source: source.formation.course_desired,
-    "flight_path_angle_desired": lambda source: source.formation.flight_path_angle_desired,
-    "age": lambda source: source.formation.age_s,
-    "sent": lambda source: source.links.sent,
-    "delivered": lambda source: source.links.delivered,
+COLUMNS: Mapping[str, Callable[[Sample | RunLog], Any]] = {
+    each.name: attrgetter(each.metadata["source"]) for each in fields(Batch) if each.metadata
 }
-assert tuple(COLUMNS) == tuple(each.name for each in fields(Batch) if each.name != "events")
 LINK_COLUMNS = {"age": np.nan, "sent": 0.0, "delivered": 0.0}  # with the values of absent links
 
 
@@ -147,7 +103,7 @@ class Collector:
         return batch
 
 
-def batch_of(log: Source, events: Sequence[Event]) -> Batch:
+def batch_of(log: RunLog, events: Sequence[Event]) -> Batch:
     """Make one batch of all samples of a log."""
     return _batch(
         {name: np.asarray(get(log), dtype=np.float64) for name, get in COLUMNS.items()}, events

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from testbed.core.frames import course
+from testbed.core.frames import course, quaternion_xyzw
 from testbed.core.records import Array, BoolArray
 from testbed.views.batch import Batch
 from testbed.views.scene import Scene
@@ -81,6 +81,18 @@ class CameraTrack:
         return CameraTrack(
             self.lens, self.centre[chosen], self.heading[chosen], self.distance[chosen]
         )
+
+    @property
+    def euler(self) -> Array:
+        """Roll, pitch and yaw (m, 3) of the frame, rad."""
+        level = np.zeros((len(self.heading), 3))
+        level[:, 2] = self.heading
+        return level
+
+    @property
+    def quaternion(self) -> Array:
+        """Rotation (m, 4) of the frame: x, y, z, w."""
+        return quaternion_xyzw(self.euler)
 
     def to_frame(self, position: Array) -> Array:
         """Transform NED positions (m, k, 3) into forward, right and down of the centre."""
@@ -189,6 +201,24 @@ def flying_aircraft(batch: Batch) -> BoolArray:
     """Find the aircraft that are not lost and have a position (m, N)."""
     flying: BoolArray = (batch.lost == 0.0) & np.isfinite(batch.position).all(axis=-1)
     return flying
+
+
+def leader_track(batch: Batch) -> CameraTrack:
+    """Return the frame at the leader that turns with its course; held where they are not finite."""
+    centre = hold_finite(batch.position[:, 0])
+    heading = hold_finite(course(batch.velocity[:, 0]))
+    return CameraTrack(BEHIND, centre, heading, np.zeros(len(centre)))
+
+
+def hold_finite(values: Array) -> Array:
+    """Replace values (K, ...) that are not finite by the last finite ones before them, or zero."""
+    known = np.isfinite(values)
+    if known.all():
+        return values
+    rows = np.arange(len(values)).reshape(-1, *[1] * (values.ndim - 1))
+    last = np.maximum.accumulate(np.where(known, rows, -1), axis=0)
+    held = np.take_along_axis(values, np.maximum(last, 0), axis=0)
+    return np.where(last < 0, 0.0, held)
 
 
 def rotate_to_heading(vectors: Array, heading: Array) -> Array:

@@ -18,7 +18,7 @@ import numpy as np
 
 from testbed.core.records import RunInfo
 from testbed.views.foxglove_scene import FORMATION_FRAME, FRAMES, TOPICS, slot_frame
-from testbed.views.log_plots import Curve, Tab, tabs
+from testbed.views.log_plots import Curve, Plots, aircraft_hex, tabs
 
 _AXIS_SPANS = 0.5  # length of the axes of an aircraft, in wingspans
 _SQUARE = 100.0  # m, of the ground grid
@@ -69,13 +69,13 @@ def foxglove_layout(info: RunInfo) -> str:
         "RosOut!events": {"topicToRender": "/events", "searchTerms": [], "minLogLevel": 1},
     }
     tab_panels = []
-    for tab in tabs(info.names):
-        ids = [f"Plot!{tab.title}{k}" for k in range(len(tab.plots))]
-        panels |= dict(zip(ids, _plots(tab), strict=True))
-        tab_panels.append({"title": tab.title, "layout": _stack(ids)})
+    for title, plots in tabs(info.names).items():
+        ids = [f"Plot!{title}{k}" for k in range(len(plots))]
+        panels |= dict(zip(ids, _plots(plots), strict=True))
+        tab_panels.append({"title": title, "layout": _stack(ids)})
     panels["map!fixes"] = {
         "layer": "map",
-        "topicColors": {f"/{name}/fix": colour for name, colour in _colours(info.names).items()},
+        "topicColors": {f"/{name}/fix": aircraft_hex(k) for k, name in enumerate(info.names)},
         "followTopic": f"/{leader}/fix",
     }
     tab_panels.append({"title": "map", "layout": "map!fixes"})
@@ -101,12 +101,12 @@ def message_path(curve: Curve) -> str:
     return ".".join(filter(None, [topic, curve.field, curve.about]))
 
 
-def _plots(tab: Tab) -> list[dict[str, Any]]:
+def _plots(plots: Plots) -> list[dict[str, Any]]:
     return [
         {
             # the panel's title in Foxglove and in Lichtblick
-            "foxglovePanelTitle": plot.title,
-            "lichtblickPanelTitle": plot.title,
+            "foxglovePanelTitle": title,
+            "lichtblickPanelTitle": title,
             "paths": [
                 {
                     "value": message_path(curve),
@@ -116,7 +116,7 @@ def _plots(tab: Tab) -> list[dict[str, Any]]:
                     "enabled": True,
                     "timestampMethod": "receiveTime",
                 }
-                for curve in plot.curves
+                for curve in curves
             ],
             "isSynced": True,
             "xAxisVal": "timestamp",
@@ -126,14 +126,8 @@ def _plots(tab: Tab) -> list[dict[str, Any]]:
             "legendDisplay": "floating",
             "showPlotValuesInLegend": True,
         }
-        for plot in tab.plots
+        for title, curves in plots.items()
     ]
-
-
-def _colours(names: Sequence[str]) -> dict[str, str]:
-    """Look up the colour of each aircraft in the plot of airspeed, which has all aircraft."""
-    air = next(tab for tab in tabs(names) if tab.title == "air")
-    return {name: curve.colour for name, curve in zip(names, air.plots[0].curves, strict=True)}
 
 
 def _stack(ids: Sequence[str], first: float | None = None) -> Any:  # noqa: ANN401 - a tree

@@ -14,20 +14,30 @@ from pathlib import Path
 
 import numpy as np
 
-from testbed.core.frames import course, quaternion_xyzw
+from testbed.core.frames import quaternion_xyzw
 from testbed.core.records import Array, Observer
 from testbed.logs import foxglove_messages as draw
-from testbed.logs.proto_template import IntArray, TransformsTemplate
+from testbed.logs.proto_template import TransformsTemplate
 from testbed.logs.read import RunLog, replay
 from testbed.logs.recorder import Addition, McapRecorder
 from testbed.views import layout
-from testbed.views.airframes import draw_airframe, whole
+from testbed.views.airframes import draw_fleet, whole
 from testbed.views.annotations import BROAD, LOST, THIN, Links
 from testbed.views.batch import Batch, batch_of
-from testbed.views.cameras import BEHIND, CameraTrack, rotate_to_heading
-from testbed.views.meshes import DARK, LIGHT, MAIN, Mesh
+from testbed.views.cameras import hold_finite, leader_track, rotate_to_heading
+from testbed.views.meshes import Mesh
 from testbed.views.panels import Colour
-from testbed.views.scene import BACKDROP, Scene, ground, mix, scene_of, secondary_colour
+from testbed.views.scene import (
+    BACKDROP,
+    PATH_COLOUR,
+    WIND_COLOUR,
+    Scene,
+    ground,
+    mix,
+    paint_colours,
+    scene_of,
+    secondary_colour,
+)
 
 FRAMES, AIRCRAFT, SLOTS, PATH, TRAILS, LINKS, WIND, ESTIMATES, LOSSES = TOPICS = tuple(
     f"/scene/{name}"
@@ -47,11 +57,7 @@ FORMATION_FRAME = "formation"
 LINES_HZ = 5.0  # of links, trails, wind and estimates
 TRAIL_STEP_S = 1.0
 TRAIL_POINTS = 600  # at most, of all aircraft together
-_NS = 10**9
-_PATH: Colour = (165, 165, 170)
 _FAINT: Colour = (96, 104, 118)
-_DARK: Colour = (45, 50, 58)
-_WIND: Colour = (255, 150, 190)
 _WHITE: Colour = (255, 255, 255)
 _GHOST_ALPHA, _DISC_ALPHA = 0.25, 0.27
 _LEAST_WIND = 1e-3  # m/s, below which there is none
@@ -98,17 +104,11 @@ class _SceneMessages:
         self._scene: Scene = scene_of(log.info)
         self._batch: Batch = batch_of(log, ())
         self._tick = log.tick
-        self._time_ns: IntArray = log.info.start_unix_ns + log.tick * _NS // log.info.base_rate_hz
-        centre = hold_finite(self._batch.position[:, 0])
-        heading = hold_finite(course(self._batch.velocity[:, 0]))
-        # the frame of the formation: where the leader is, turned with its course
-        self._track = CameraTrack(BEHIND, centre, heading, np.zeros(len(centre)))
+        self._time_ns = log.time_ns
+        self._track = leader_track(self._batch)  # the frame of the formation
         stride = max(1, round(log.info.sample_rate_hz / LINES_HZ))
         self._rows = np.arange(0, log.tick.size, stride)
-        self._drawings = [
-            draw_airframe(*each)
-            for each in zip(self._scene.airframes, self._scene.wingspan, strict=True)
-        ]
+        self._drawings = draw_fleet(self._scene.airframes, self._scene.wingspan)
         self._lost = self._batch.lost > 0.0
 
     def frames(self) -> Iterator[Addition]:
@@ -119,9 +119,8 @@ class _SceneMessages:
         octets = np.tile(np.frombuffer(template.data, np.uint8), (len(batch), 1))
         slots = hold_finite(batch.slot)
         positions = np.concatenate([self._track.centre[:, None], slots], axis=1)
-        euler = np.zeros((len(batch), len(children), 3))
-        euler[..., 2] = self._track.heading[:, None]
-        template.fill(octets, positions, quaternion_xyzw(euler), self._time_ns)
+        heading = np.repeat(self._track.quaternion[:, None], len(children), axis=1)
+        template.fill(octets, positions, heading, self._time_ns)
         for tick, row in zip(self._tick.tolist(), octets, strict=True):
             yield Addition(tick, FRAMES, draw.TRANSFORMS, row.tobytes())
 
@@ -173,7 +172,7 @@ class _SceneMessages:
         """Draw the leader's path, its shadow on the ground, and a scale."""
         area, lines = ground(self._scene.paths), []
         for path in area.paths:
-            lines.append(draw.line_strip(draw.points(path), _PATH, 2.0))
+            lines.append(draw.line_strip(draw.points(path), PATH_COLOUR, 2.0))
             lines.append(draw.line_strip(draw.points(path * [1.0, 1.0, 0.0]), _FAINT, 1.0))
         if area.paths:
             lines.append(draw.line_list(area.posts, _FAINT, 1.0))
@@ -228,7 +227,9 @@ class _SceneMessages:
             if windy:
                 pairs = zip(position[i, flying[i]], wind[i, flying[i]], strict=True)
                 arrows = [
-                    draw.arrow(where, _along(vector), scale * float(np.linalg.norm(vector)), _WIND)
+                    draw.arrow(
+                        where, _along(vector), scale * float(np.linalg.norm(vector)), WIND_COLOUR
+                    )
                     for where, vector in pairs
                     if np.linalg.norm(vector) > _LEAST_WIND
                 ]
@@ -256,7 +257,7 @@ class _SceneMessages:
 
 def _painted(mesh: Mesh, paint: Colour, trim: Colour, alpha: float) -> list[draw.Triangles]:
     """Draw a mesh as one surface of each paint."""
-    colours = {MAIN: paint, LIGHT: trim, DARK: _DARK}
+    colours = paint_colours(paint, trim).tolist()
     of_triangle = mesh.paint[mesh.triangles[:, 0]]
     surfaces = []
     for number in np.unique(of_triangle).tolist():
@@ -267,17 +268,6 @@ def _painted(mesh: Mesh, paint: Colour, trim: Colour, alpha: float) -> list[draw
             )
         )
     return surfaces
-
-
-def hold_finite(values: Array) -> Array:
-    """Replace values (K, ...) that are not finite by the last finite ones before them, or zero."""
-    known = np.isfinite(values)
-    if known.all():
-        return values
-    rows = np.arange(len(values)).reshape(-1, *[1] * (values.ndim - 1))
-    last = np.maximum.accumulate(np.where(known, rows, -1), axis=0)
-    held = np.take_along_axis(values, np.maximum(last, 0), axis=0)
-    return np.where(last < 0, 0.0, held)
 
 
 def _along(vector: Array) -> Array:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -49,17 +48,6 @@ def network_figure(data: NetworkFigureData) -> PanelGrid:
         ]
     ]
     return PanelGrid(data.title, data.subtitle, rows, (1.0, 1.0, 1.15), (17.0, 6.6))
-
-
-def save_network_figure(data: NetworkFigureData, path: Path) -> None:
-    """Write the figure.
-
-    Raises:
-        OSError: The file cannot be written.
-    """
-    from testbed.views.matplotlib_backend import save_figure
-
-    save_figure(network_figure(data), path)
 
 
 def worst_and_best(share: Array, late: Array) -> tuple[tuple[int, int], tuple[int, int]]:

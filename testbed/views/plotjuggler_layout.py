@@ -15,7 +15,7 @@ import numpy as np
 
 from testbed.core.identifiers import identifiers
 from testbed.logs.flight_data import FlightData
-from testbed.views.log_plots import Curve, LogPlot, Tab, numeric_topics, tabs
+from testbed.views.log_plots import Curve, Plots, numeric_topics, tabs
 
 _NS = 10**9
 _MARGIN = 0.05  # of the range, above and below
@@ -31,8 +31,8 @@ def plotjuggler_layout(flight: FlightData, log: str) -> str:
     root = xml.Element("root")
     window = {"name": "Main Window", "parent": "main_window"}
     main = xml.SubElement(root, "tabbed_widget", window)
-    for tab in tabs(flight.names):
-        _add_tab(main, tab, flight)
+    for title, plots in tabs(flight.names).items():
+        _add_tab(main, title, plots, flight)
     xml.SubElement(main, "currentTabIndex", index="0")
     xml.SubElement(root, "use_relative_time_offset", enabled="0")
     # the plugin's default, and the settings of the file
@@ -49,9 +49,9 @@ def series_name(curve: Curve) -> str:
     return "/".join(filter(None, [curve.topic, curve.field, curve.about]))
 
 
-def _add_tab(main: xml.Element, tab: Tab, flight: FlightData) -> None:
-    count = len(tab.plots)
-    element = xml.SubElement(main, "Tab", tab_name=tab.title, containers="1")
+def _add_tab(main: xml.Element, title: str, plots: Plots, flight: FlightData) -> None:
+    count = len(plots)
+    element = xml.SubElement(main, "Tab", tab_name=title, containers="1")
     splitter = xml.SubElement(
         xml.SubElement(element, "Container"),
         "DockSplitter",
@@ -59,21 +59,21 @@ def _add_tab(main: xml.Element, tab: Tab, flight: FlightData) -> None:
         count=str(count),
         sizes=";".join([f"{1 / count:.6f}"] * count),
     )
-    for plot in tab.plots:
-        area = xml.SubElement(splitter, "DockArea", name=plot.title)
+    for name, curves in plots.items():
+        area = xml.SubElement(splitter, "DockArea", name=name)
         drawn = xml.SubElement(
             area, "plot", style="Lines", mode="TimeSeries", flip_x="false", flip_y="false"
         )
-        xml.SubElement(drawn, "range", _range(plot, flight))
+        xml.SubElement(drawn, "range", _range(curves, flight))
         xml.SubElement(drawn, "limitY")
-        for curve in plot.curves:
+        for curve in curves:
             xml.SubElement(drawn, "curve", name=series_name(curve), color=curve.colour)
 
 
-def _range(plot: LogPlot, flight: FlightData) -> dict[str, str]:
+def _range(curves: Sequence[Curve], flight: FlightData) -> dict[str, str]:
     """Compute the ranges that show all curves."""
     low, high = np.inf, -np.inf
-    for curve in plot.curves:
+    for curve in curves:
         name, _, topic = curve.topic.removeprefix("/").rpartition("/")  # a name may have a /
         values = flight[f"{topic}_{curve.field}"][:, flight.names.index(name)]
         if curve.about is not None:

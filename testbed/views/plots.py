@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from testbed.core.frames import course, flight_path_angle, wrap_pi
 from testbed.core.records import Array
 from testbed.formation.barrier import logged_curve
 from testbed.views.annotations import STALE_S
 from testbed.views.batch import Batch
-from testbed.views.panels import Colour, break_at_wrap, unique_values
+from testbed.views.panels import Colour, unique_values
+from testbed.views.quantities import PLOTTED
 from testbed.views.scene import BACKDROP, Scene, mix
 
 LIMIT: Colour = (150, 150, 150)
@@ -63,13 +63,23 @@ class TimePlot:
 def tabs(scene: Scene) -> tuple[tuple[TimePlot, ...], ...]:
     """List the plots as rows of tabs; the first of each row is open."""
     motion = (*_speeds(scene), *_directions(scene))
-    commands, air = (_bank(scene), _throttle(scene)), _air(scene)
+    commands = (
+        _bank(scene),
+        _plot("throttle", [_quantity(scene, "throttle", "commanded")], (0.0, 1.0)),
+    )
+    air = (
+        _plot("wind", [_quantity(scene, "wind", "horizontal")], (0.0, 5.0)),
+        _plot("updraught", [_quantity(scene, "updraught", "up")], (-1.0, 1.0)),
+    )
     if not scene.followers:
         return (motion[:1], motion[1:], (_altitude(scene), *commands, *air))
+    error = _quantity(scene, "error", "error", followers=True)
+    estimate_error = _quantity(scene, "estimate_error", "error")
+    age = _quantity(scene, "age", "age", followers=True)
     errors = (
-        _error(scene),
-        *([_estimate_error(scene)] if scene.estimated else []),
-        _data_age(scene),
+        _plot("error", [error], (0.0, 1.0)),
+        *([_plot("estimate_error", [estimate_error], (0.0, 1.0))] if scene.estimated else []),
+        _plot("age", [age], (0.0, STALE_S)),
     )
     barrier = (_barrier(scene),) if any(scene.barriers) else ()
     return (
@@ -79,92 +89,65 @@ def tabs(scene: Scene) -> tuple[tuple[TimePlot, ...], ...]:
     )
 
 
+def _plot(
+    name: str,
+    series: Sequence[PlotSeries],
+    min_range: tuple[float, float],
+    limits: tuple[tuple[str, float], ...] = (),
+    *,
+    also: str = "",
+) -> TimePlot:
+    """Plot a quantity of `PLOTTED`, and in words what its horizontal lines are."""
+    return TimePlot(name, PLOTTED[name].title(also), tuple(series), min_range, limits)
+
+
 def _speeds(scene: Scene) -> tuple[TimePlot, ...]:
     """Plot speed with its bounds; and ground speed if the bounds are of airspeed."""
-    ground = _actual_and_desired(
-        scene,
-        lambda batch: np.linalg.norm(batch.velocity, axis=-1),
-        lambda batch: batch.speed_desired,
-    )
+    ground = _actual_and_desired(scene, "speed")
     bounds = unique_values(scene.speed_bounds) or [12.0, 33.0]
     limits = tuple((f"bound {value:g}", value) for value in bounds if scene.followers)
     min_range = bounds[0] - 1.0, bounds[-1] + 1.0
     if not scene.bounds_wind.any():
-        title = "Ground speed and bounds, m/s" if limits else "Ground speed, m/s"
-        return (TimePlot("speed", title, ground, min_range, limits),)
-    air = _all_aircraft(
-        scene, "actual", lambda batch: np.linalg.norm(batch.velocity - scene.bounds_wind, axis=-1)
+        return (_plot("speed", ground, min_range, limits, also="bounds" if limits else ""),)
+    rows = range(len(scene.names))
+    air = _series(
+        scene,
+        "actual",
+        rows,
+        lambda batch: np.linalg.norm(batch.velocity - scene.bounds_wind, axis=-1),
     )
     mixed = len({bool(each.any()) for each in scene.bounds_wind}) > 1
-    title = "Speed as its bounds are measured, m/s" if mixed else "Airspeed and bounds, m/s"
+    title = PLOTTED["bounded_speed"].title("bounds")
+    if mixed:
+        title = "Speed as its bounds are measured, m/s"
     return (
         TimePlot("speed", title, (air,), min_range, limits),
-        TimePlot("ground_speed", "Ground speed, m/s", ground, min_range),
+        replace(_plot("speed", ground, min_range), name="ground_speed"),
     )
 
 
 def _directions(scene: Scene) -> tuple[TimePlot, TimePlot]:
-    courses = _actual_and_desired(
-        scene,
-        lambda batch: break_at_wrap(np.degrees(course(batch.velocity))),
-        lambda batch: break_at_wrap(np.degrees(wrap_pi(batch.course_desired))),
-    )
-    angles = _actual_and_desired(
-        scene,
-        lambda batch: np.degrees(flight_path_angle(batch.velocity)),
-        lambda batch: np.degrees(batch.flight_path_angle_desired),
-    )
+    courses, angles = (_actual_and_desired(scene, name) for name in ("course", "flight_path_angle"))
     return (
-        TimePlot("course", "Course, deg", courses, COURSE_RANGE, fixed_range=True),
-        TimePlot("flight_path_angle", "Flight-path angle, deg", angles, (-10.0, 10.0)),
+        replace(_plot("course", courses, COURSE_RANGE), fixed_range=True),
+        _plot("flight_path_angle", angles, (-10.0, 10.0)),
     )
 
 
 def _bank(scene: Scene) -> TimePlot:
     limits_deg = unique_values(np.degrees(scene.roll_limit))
     largest = 1.02 * limits_deg[-1] if limits_deg else 60.0
-    actual = _all_aircraft(scene, "actual", lambda batch: np.degrees(batch.euler[..., 0]))
     lines = tuple(
         (f"limit {sign * each:g}", sign * each) for each in limits_deg for sign in (-1, 1)
     )
-    return TimePlot("bank", "Bank and limits, deg", (actual,), (-largest, largest), lines)
-
-
-def _throttle(scene: Scene) -> TimePlot:
-    commanded = _all_aircraft(scene, "commanded", lambda batch: batch.throttle)
-    return TimePlot("throttle", "Throttle", (commanded,), (0.0, 1.0))
+    bank = _quantity(scene, "bank", "actual")
+    return _plot("bank", [bank], (-largest, largest), lines, also="limits")
 
 
 def _altitude(scene: Scene) -> TimePlot:
     heights = -np.concatenate(scene.paths)[:, 2] if scene.paths else np.array([100.0])
-    actual = _all_aircraft(scene, "actual", lambda batch: -batch.position[..., 2])
     min_range = (float(heights.min()) - 10.0, float(heights.max()) + 10.0)
-    return TimePlot("altitude", "Altitude, m", (actual,), min_range)
-
-
-def _air(scene: Scene) -> tuple[TimePlot, TimePlot]:
-    horizontal = _all_aircraft(
-        scene, "horizontal", lambda batch: np.linalg.norm(batch.wind[..., :2], axis=-1)
-    )
-    up = _all_aircraft(scene, "up", lambda batch: -batch.wind[..., 2])
-    return (
-        TimePlot("wind", "Horizontal wind, m/s", (horizontal,), (0.0, 5.0)),
-        TimePlot("updraught", "Updraught, m/s", (up,), (-1.0, 1.0)),
-    )
-
-
-def _error(scene: Scene) -> TimePlot:
-    error = _followers(scene, "error", lambda batch: np.linalg.norm(batch.error, axis=-1))
-    return TimePlot("error", "Position error, m", (error,), (0.0, 1.0))
-
-
-def _estimate_error(scene: Scene) -> TimePlot:
-    error = _all_aircraft(
-        scene,
-        "error",
-        lambda batch: np.linalg.norm(batch.estimated_position - batch.position, axis=-1),
-    )
-    return TimePlot("estimate_error", "Error of position estimate, m", (error,), (0.0, 1.0))
+    return _plot("altitude", [_quantity(scene, "altitude", "actual")], min_range)
 
 
 def _barrier(scene: Scene) -> TimePlot:
@@ -180,23 +163,16 @@ def _barrier(scene: Scene) -> TimePlot:
         curves = [logged_curve(each, speed[:, i], low[i], high[i]) for i, each in enumerate(chosen)]
         return np.stack(curves, axis=1)
 
-    series = (_series(scene, "h", rows.tolist(), value),)
-    return TimePlot("barrier", "Speed barrier", series, (-0.1, 1.1), (("bound", 0.0),))
+    series = _series(scene, "h", rows.tolist(), value)
+    return _plot("barrier", [series], (-0.1, 1.1), (("bound", 0.0),))
 
 
-def _data_age(scene: Scene) -> TimePlot:
-    """Plot the largest age of the data that each follower uses of another aircraft."""
-    oldest = _followers(scene, "age", lambda batch: np.fmax.reduce(batch.age, axis=-1))
-    return TimePlot("age", "Oldest data used, s", (oldest,), (0.0, STALE_S))
-
-
-def _actual_and_desired(scene: Scene, actual: Values, desired: Values) -> tuple[PlotSeries, ...]:
+def _actual_and_desired(scene: Scene, name: str) -> tuple[PlotSeries, ...]:
     """Plot what all aircraft do and, thin and faded, what followers should do."""
-    rows = scene.followers
-    done = _all_aircraft(scene, "actual", actual)
+    done, rows, quantity = _quantity(scene, name, "actual"), scene.followers, PLOTTED[name]
     if not rows or len(scene.names) > MAX_DESIRED:
         return (done,)
-    wanted = _series(scene, "desired", rows, desired)
+    wanted = _series(scene, "desired", rows, lambda batch: quantity.field(batch, quantity.desired))
     return (
         done,
         replace(
@@ -208,12 +184,10 @@ def _actual_and_desired(scene: Scene, actual: Values, desired: Values) -> tuple[
     )
 
 
-def _all_aircraft(scene: Scene, name: str, values: Values) -> PlotSeries:
-    return _series(scene, name, range(len(scene.names)), values)
-
-
-def _followers(scene: Scene, name: str, values: Values) -> PlotSeries:
-    return _series(scene, name, scene.followers, values)
+def _quantity(scene: Scene, name: str, series: str, *, followers: bool = False) -> PlotSeries:
+    """Make the series of a quantity of `PLOTTED`, of all aircraft or of followers."""
+    rows = scene.followers if followers else range(len(scene.names))
+    return _series(scene, series, rows, PLOTTED[name].values)
 
 
 def _series(scene: Scene, name: str, rows: Sequence[int], values: Values) -> PlotSeries:

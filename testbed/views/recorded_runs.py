@@ -5,14 +5,14 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
 from testbed.core.errors import InputError
 from testbed.core.files import write_file
-from testbed.core.records import Event, RunInfo
-from testbed.views.batch import Batch, Source, batch_of, overlay, split
+from testbed.core.records import Event
+from testbed.logs.read import RunLog
+from testbed.views.batch import Batch, batch_of, overlay, split
 from testbed.views.scene import Scene, overlay_scenes, scene_of
 from testbed.views.view import ViewSink, ViewTarget
 from testbed.views.viewer import headless_viewer
@@ -26,23 +26,14 @@ DRAWN_S = 1.0  # the viewer draws several times, without a signal when it is don
 GREETING_S = 6.0  # after its first drawing the viewer shows a notice of its address for so long
 
 
-class Recorded(Source, Protocol):
-    """A log read back, such as `testbed.logs.read.RunLog`."""
-
-    @property
-    def info(self) -> RunInfo: ...  # noqa: D102
-    @property
-    def events(self) -> tuple[Event, ...]: ...  # noqa: D102
-
-
 class ViewComplaintError(RuntimeError):
     """A view of the viewer reports an error in what it was sent: a bug of the testbed."""
 
 
 def replay(
     target: ViewTarget,
-    first: Recorded,
-    second: Recorded | None = None,
+    first: RunLog,
+    second: RunLog | None = None,
     *,
     follow: str | None = None,
 ) -> None:
@@ -68,8 +59,8 @@ def replay(
 def screenshot(
     path: Path,
     at_s: float,
-    first: Recorded,
-    second: Recorded | None = None,
+    first: RunLog,
+    second: RunLog | None = None,
     *,
     size: tuple[int, int] = SIZE,
     follow: str | None = None,
@@ -112,7 +103,7 @@ def screenshot(
 
 
 def scene_and_batch(
-    first: Recorded, second: Recorded | None = None, *, follow: str | None = None
+    first: RunLog, second: RunLog | None = None, *, follow: str | None = None
 ) -> tuple[Scene, Batch]:
     """Prepare one run, or two at the times that both have.
 
@@ -135,7 +126,7 @@ def scene_and_batch(
     return both, replace(batch, events=(*titles, *batch.events))
 
 
-def _prepare(run: Recorded, follow: str | None = None) -> tuple[Scene, Batch]:
+def _prepare(run: RunLog, follow: str | None = None) -> tuple[Scene, Batch]:
     batch = batch_of(run, run.events)
     estimated = not np.array_equal(batch.estimated_position, batch.position, equal_nan=True)
     return replace(scene_of(run.info, follow), estimated=estimated), batch

@@ -13,7 +13,6 @@ import numpy as np
 
 from testbed.core.frames import (
     GRAVITY,
-    course,
     enu_from_ned,
     euler_enu_flu,
     flu_from_frd,
@@ -29,16 +28,14 @@ from testbed.logs.recorder import FixCovariance
 from testbed.views.airframes import draw_airframe, whole
 from testbed.views.annotations import Links
 from testbed.views.batch import batch_of
-from testbed.views.cameras import BEHIND, CameraTrack
-from testbed.views.foxglove_scene import hold_finite
-from testbed.views.meshes import DARK, LIGHT, MAIN, Mesh
+from testbed.views.cameras import hold_finite, leader_track
+from testbed.views.meshes import Mesh
 from testbed.views.panels import Colour
-from testbed.views.scene import BACKDROP, mix, scene_of, secondary_colour
+from testbed.views.scene import BACKDROP, mix, paint_colours, scene_of, secondary_colour
 
 MAP, FORMATION = "map", "formation"
 FIX_HZ, LINKS_HZ = 5.0, 5.0
 _NS = 10**9
-_DARK: Colour = (45, 50, 58)
 _PATH = (0.65, 0.65, 0.67, 1.0)
 _GHOST_ALPHA = 0.25
 _LINK_M = 0.1  # width of a link
@@ -79,7 +76,7 @@ class _Content:
     def __init__(self, log: RunLog, bag: ros.Ros2Bag) -> None:
         self._log, self._bag, info = log, bag, log.info
         self._names = identifiers(info.names)
-        self._time_ns = info.start_unix_ns + log.tick * _NS // info.base_rate_hz
+        self._time_ns = log.time_ns
         self._truth, self._estimate = _Motion(log.truth), _Motion(log.estimate)
         self._slots = hold_finite(enu_from_ned(log.formation.slot_ned))
         error = log.estimate.position_ned - log.truth.position_ned
@@ -87,12 +84,8 @@ class _Content:
         self._erring = bool(np.any(self._covariance))
         self._geodetic = geodetic_from_ned(log.estimate.position_ned, info.origin)
         self._scene, self._batch = scene_of(info), batch_of(log, ())
-        heading = hold_finite(course(self._batch.velocity[:, 0]))
-        centre = hold_finite(self._batch.position[:, 0])
-        self._track = CameraTrack(BEHIND, centre, heading, np.zeros(len(centre)))
-        level = np.zeros((len(heading), 3))
-        level[:, 2] = heading
-        self._heading = quaternion_xyzw(euler_enu_flu(level))
+        self._track = leader_track(self._batch)
+        self._heading = quaternion_xyzw(euler_enu_flu(self._track.euler))
 
     def write(self, advance: Callable[[int, int], None]) -> None:
         """Write all messages in order of time."""
@@ -263,7 +256,6 @@ class _Content:
 def _painted(mesh: Mesh, paint: Colour, trim: Colour, alpha: float) -> tuple[Array, Array]:
     """List the corners of triangles (k, 3), forward, left, up, and their colours (k, 4)."""
     colours = np.full((3, 4), alpha)
-    for number, colour in ((MAIN, paint), (LIGHT, trim), (DARK, _DARK)):
-        colours[number, :3] = np.array(colour) / 255.0
+    colours[:, :3] = paint_colours(paint, trim) / 255.0
     corners = mesh.triangles.ravel()
     return flu_from_frd(mesh.vertices[corners]), colours[mesh.paint[corners]]

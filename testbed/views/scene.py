@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from testbed.core.records import Array, RunInfo
 from testbed.formation.barrier import LoggedBarrier, logged_barriers
@@ -18,6 +19,11 @@ from testbed.views.panels import ON_DARK, Colour, rgb
 
 BACKDROP: Colour = (22, 26, 33)
 LEADER: Colour = (240, 240, 240)
+PATH_COLOUR: Colour = (165, 165, 170)
+WIND_COLOUR: Colour = (255, 150, 190)  # no colour of an aircraft
+GRID_COLOUR: Colour = (84, 94, 110)
+TEXT_COLOUR: Colour = (200, 205, 212)
+TYRE: Colour = (45, 50, 58)  # and other dark parts
 FOLLOWERS: tuple[Colour, ...] = tuple(rgb(each) for each in ON_DARK)
 GRID_STEP = 100.0  # m
 MAX_LABELS = 6  # on an edge of the grid
@@ -141,6 +147,11 @@ def mix(one: Colour, other: Colour, share: float) -> Colour:
 def secondary_colour(paint: Colour) -> Colour:
     """Choose the second colour of an aircraft: light, but dark on one that is nearly white."""
     return (105, 115, 130) if min(paint) > 180 else (235, 235, 230)
+
+
+def paint_colours(paint: Colour, trim: Colour) -> NDArray[np.uint8]:
+    """Return the colours (3, 3) of an aircraft by the paints of `meshes`."""
+    return np.array([paint, trim, TYRE], np.uint8)
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,10 +32,21 @@ from testbed.views.cameras import (
     FormationCameras,
     flying_aircraft,
 )
-from testbed.views.meshes import DARK, LIGHT, MAIN, join
+from testbed.views.meshes import LIGHT, join
 from testbed.views.panels import Colour
 from testbed.views.pillow_backend import Drawing, text_width
-from testbed.views.scene import BACKDROP, Scene, ground, mix, secondary_colour
+from testbed.views.scene import (
+    BACKDROP,
+    GRID_COLOUR,
+    PATH_COLOUR,
+    TEXT_COLOUR,
+    TYRE,
+    Scene,
+    ground,
+    mix,
+    paint_colours,
+    secondary_colour,
+)
 
 TRAIL_S = 6.0
 TRAIL_POINTS = 40
@@ -45,9 +56,6 @@ MARGIN = 12  # pixels around texts
 DETAILED_PX = 16.0  # wingspan from which an aircraft is drawn as a mesh, otherwise as a dot
 LIGHT_FROM = np.array([-0.35, -0.25, -0.90])  # forward, right, down of north
 SHADE = 0.45  # of a colour, turned away from the light
-GREY: Colour = (200, 205, 212)
-LINE: Colour = (84, 94, 110)
-PATH: Colour = (165, 165, 170)
 LOST_PX = 4.0  # pixels, radius of the mark of a lost aircraft
 HEAD = 30  # pixels, height of the line above the pictures
 GAP = 18  # pixels between two texts in that line
@@ -121,9 +129,9 @@ class FlightVideo:
         self._level = rotation_ned_body(level)
         self._prepare_meshes()
         area = ground(scene.paths)
-        self._ground = [(each, LINE) for each in area.lines]
-        self._ground += [(path * [1.0, 1.0, 0.0], LINE) for path in area.paths]
-        self._ground += [(path, PATH) for path in area.paths]
+        self._ground = [(each, GRID_COLOUR) for each in area.lines]
+        self._ground += [(path * [1.0, 1.0, 0.0], GRID_COLOUR) for path in area.paths]
+        self._ground += [(path, PATH_COLOUR) for path in area.paths]
 
     @property
     def colours(self) -> list[Colour]:
@@ -132,7 +140,7 @@ class FlightVideo:
         used = list(dict.fromkeys(self._scene.colours))[:21]
         tones = [mix(BACKDROP, each, s) for each in used for s in (0.25, 0.4, 0.55, 0.7, 0.85, 1)]
         pale = [mix(each, (255, 255, 255), 0.4) for each in used]
-        return [*greys, (30, 34, 42), (45, 50, 58), LOST, LINE, PATH, *tones, *pale]
+        return [*greys, (30, 34, 42), TYRE, LOST, GRID_COLOUR, PATH_COLOUR, *tones, *pale]
 
     def frame(self, number: int) -> Drawing:
         """Draw a frame by its number."""
@@ -142,7 +150,7 @@ class FlightVideo:
         self._texts(right, above, number)
         both = left.beside(right, HEAD)
         edge, height = behind.canvas.width, behind.canvas.height
-        both.line(np.array([[edge, HEAD], [edge, HEAD + height]]), LINE)
+        both.line(np.array([[edge, HEAD], [edge, HEAD + height]]), GRID_COLOUR)
         self._head(both, edge + above.canvas.width, number)
         return both
 
@@ -162,9 +170,7 @@ class FlightVideo:
             normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
             area = np.linalg.norm(normal, axis=-1, keepdims=True)
             keep = area[:, 0] > 0.0
-            colours = np.zeros((3, 3))
-            colours[MAIN], colours[LIGHT] = paint, secondary_colour(paint)
-            colours[DARK] = (45, 50, 58)
+            colours = paint_colours(paint, secondary_colour(paint)).astype(np.float64)
             paint_of = mesh.paint[mesh.triangles[:, 0]]
             self._meshes.append(
                 Painted(
@@ -279,7 +285,7 @@ class FlightVideo:
         c, s = np.cos(at.heading[0]), np.sin(at.heading[0])
         ahead, right = np.array([c, s, 0.0]), np.array([-s, c, 0.0])
         end = along[-1]
-        faint = mix(LINE, BACKDROP, 0.5)
+        faint = mix(GRID_COLOUR, BACKDROP, 0.5)
         return [
             (at.centre[0] + x * one + np.outer([-end, end], other), faint)
             for one, other in ((ahead, right), (right, ahead))
@@ -293,7 +299,7 @@ class FlightVideo:
         names, arrows = name_aircraft(self._scene, one, at, view.canvas, self._size)
         bar = scale_bar(at, view.canvas)
         left, low = MARGIN, view.canvas.height - MARGIN
-        drawing.line(np.array([[left, low], [left + bar.pixels, low]]), GREY, 2.0)
+        drawing.line(np.array([[left, low], [left + bar.pixels, low]]), TEXT_COLOUR, 2.0)
         length, half = ARROW
         for tip, direction, row in zip(arrows.tip, arrows.direction, arrows.rows, strict=True):
             tail = tip - length * direction
@@ -308,7 +314,7 @@ class FlightVideo:
             for middle, text, row in zip(each.middle, each.texts, each.rows, strict=True):
                 drawing.text(middle, text, self._scene.colours[row])
         self._losses(drawing, view, number, np.concatenate(taken))
-        drawing.text(np.array([left + 2, low - 4]), f"{bar.length:g} m", GREY, anchor="ls")
+        drawing.text(np.array([left + 2, low - 4]), f"{bar.length:g} m", TEXT_COLOUR, anchor="ls")
 
     def _losses(self, drawing: Drawing, view: VideoView, number: int, taken: Array) -> None:
         """Name the marks of lost aircraft where boxes (b, 4) of other texts leave room."""
@@ -333,7 +339,7 @@ class FlightVideo:
         at[0] += text_width(f"{scene.scenario}   8888.8 s", TITLE_PX) + GAP
         if self._size > 1.0:
             scale = f"aircraft {self._size:g} x as large"
-            drawing.text(at, scale, GREY, anchor="lm", boxed=False)
+            drawing.text(at, scale, TEXT_COLOUR, anchor="lm", boxed=False)
             at[0] += text_width(scale) + GAP
         error = np.linalg.norm(self._shown.error[number], axis=-1)
         entries: dict[int, tuple[str, Colour]] = {}  # the most important ones first
@@ -354,7 +360,7 @@ class FlightVideo:
             return
         label = label if len(fits) == len(entries) else f"largest {label}"
         at[0] = width - sum(widths[k] for k in fits)
-        drawing.text(at - [8, 0], f"{label}:", GREY, anchor="rm", boxed=False)
+        drawing.text(at - [8, 0], f"{label}:", TEXT_COLOUR, anchor="rm", boxed=False)
         for k in sorted(fits):
             text, colour = entries[k]
             drawing.text(at, text, colour, anchor="lm", boxed=False)

@@ -52,6 +52,15 @@ def rerun_program() -> str | None:
     return shutil.which("rerun", path=str(Path(sys.executable).parent))
 
 
+def _needed_program() -> str:
+    executable = rerun_program()
+    if executable is None:
+        raise InputError(
+            f"there is no `rerun` program beside {sys.executable}: write {install_command('view')}"
+        )
+    return executable
+
+
 def unavailable_reason(port: int) -> str | None:
     """Explain why there is no viewer; None if one runs or can be started."""
     if is_listening(port):
@@ -105,11 +114,7 @@ def headless_viewer(size: tuple[int, int], *, limit_s: float = math.inf) -> Iter
     Raises:
         InputError: There is no viewer, it cannot draw, or it did not answer in time.
     """
-    executable = rerun_program()
-    if executable is None:
-        raise InputError(
-            f"there is no `rerun` program beside {sys.executable}: write {install_command('view')}"
-        )
+    executable = _needed_program()
     window = ("--headless", "--window-size", "{}x{}".format(*size))
     scratch = tempfile.TemporaryDirectory(prefix="testbed-view-", ignore_cleanup_errors=True)
     timed_out = threading.Event()
@@ -290,11 +295,7 @@ def serve_web_viewer(host: str = HOST) -> Iterator[WebViewer]:
         raise InputError(
             f"--host {host}: write {HOST}, or {ANY_HOST} to let other machines reach it"
         )
-    executable = rerun_program()
-    if executable is None:
-        raise InputError(
-            f"there is no `rerun` program beside {sys.executable}: write {install_command('view')}"
-        )
+    executable = _needed_program()
     served = WebViewer(host, _port(host, PAGE_PORT), _port(host, PORT))
     process = launch(
         executable,

@@ -19,9 +19,9 @@ import testbed
 from testbed.core.records import VehicleState, join_names
 from testbed.logs import arrow_io, flight_data
 from testbed.logs.file_record import RECORD_NAME
-from testbed.logs.flight_data import QUANTITIES, UNITS, write_npz
+from testbed.logs.flight_data import write_npz
 from testbed.logs.mcap_file import LogError
-from testbed.logs.messages import TOPICS
+from testbed.logs.messages import QUANTITIES, TOPICS, UNITS
 
 SAMPLES = 60
 # dimensionless fields: ratios, coefficients, counts, indices, bits and booleans

@@ -15,10 +15,12 @@ from record_flight import decoded, record, run_info, run_samples
 
 import testbed
 from testbed.core.geodetic import geodetic_from_ned
+from testbed.logs.messages import QUANTITIES
 from testbed.views.foxglove_layout import foxglove_layout
 from testbed.views.foxglove_scene import FRAMES, TOPICS
 from testbed.views.log_plots import numeric_topics
 from testbed.views.plotjuggler_layout import plotjuggler_layout
+from testbed.views.quantities import DEGREES, PLOTTED
 
 SAMPLES = 30
 # Foxglove's message path: topic, quoted if it has other characters; fields
@@ -181,6 +183,14 @@ def test_plotjuggler_selects_numeric_topics_of_log(path, messages):
     for topic in numeric_topics(names):
         fields = {field.name for field in messages[topic][0][1].DESCRIPTOR.fields}
         assert "timestamp" not in fields
+
+
+def test_plotted_quantities_name_fields_of_log():
+    for name, quantity in PLOTTED.items():
+        assert {*quantity.fields, quantity.desired} <= {*QUANTITIES, ""}, name
+        assert quantity.fields or not quantity.tab, name
+        units = {QUANTITIES[field].unit for field in (*quantity.fields, quantity.desired) if field}
+        assert units <= {"rad" if quantity.unit == DEGREES else quantity.unit}, name
 
 
 def test_plotjuggler_layout_names_log_relative(tmp_path, path):

@@ -29,10 +29,12 @@ import testbed
 from testbed.core.errors import InputError
 from testbed.core.frames import rotation_ned_body
 from testbed.core.geodetic import geodetic_from_ned
-from testbed.core.records import Event
+from testbed.core.records import Event, logged_fields
 from testbed.core.start_time import start_unix_ns
 from testbed.logs import header, recorder
 from testbed.logs.mcap_file import LogError, tail_path
+from testbed.logs.messages import RECORDS as RECORDS_OF_SAMPLE
+from testbed.logs.messages import TOPICS
 from testbed.logs.read import read_log, samples
 from testbed.logs.recorder import McapRecorder
 from testbed.metrics import MetricsObserver
@@ -79,6 +81,18 @@ def test_log_read_back_has_every_sample(tmp_path, count, followers, noisy_from, 
         assert_same_sample(one, other)
     assert log.finished
     assert log.lost_bytes == 0
+
+
+def test_every_logged_field_is_in_one_topic():
+    declared = [
+        f"{record}.{field}"
+        for record, kind in RECORDS_OF_SAMPLE.items()
+        if hasattr(kind, "_fields")
+        for field in logged_fields(kind)
+    ]
+    columns = [column.source for topic in TOPICS for column in topic.columns]
+    assert sorted(columns) == sorted([*declared, "lost"])
+    assert len(declared) > 30
 
 
 def test_metrics_from_log_equal_live_metrics(tmp_path):

@@ -17,6 +17,7 @@ from testbed.views.batch import COLUMNS, Collector, batch_of, overlay, split
 from testbed.views.cameras import ABOVE, BEHIND, FormationCameras, flying_aircraft
 from testbed.views.meshes import cut_control_surface
 from testbed.views.panels import break_at_wrap
+from testbed.views.quantities import PLOTTED
 from testbed.views.recorded_runs import scene_and_batch
 from testbed.views.rerun_backend import RerunRecording
 from testbed.views.rerun_backend.blueprint import plot_view
@@ -233,6 +234,16 @@ def test_speed_plot_relative_to_air_of_bounds():
     np.testing.assert_allclose(
         through_air.series[0].values(batch), np.linalg.norm(batch.velocity - wind, axis=-1)
     )
+
+
+def test_quantities_of_batch_equal_those_of_log():
+    log = views_flight.log(4, 10.0)
+    batch = batch_of(log, ())
+    names = [drawn.name for row in plots.tabs(scene(4, estimated=True)) for drawn in row]
+    assert len(names) > 8
+    for name in names:
+        quantity = PLOTTED[name]
+        np.testing.assert_array_equal(quantity.values(batch), quantity.values(log), name)
 
 
 def test_age_plot_is_oldest_data_used():

@@ -90,12 +90,11 @@ def heat_maps(study: StudyData, metric: str) -> FigureSpec | None:
         )
     if len(pairs) > drawn_pairs:
         caption += f" These are the first {drawn_pairs} of {len(pairs)} pairs."
-    rows, widths = in_pairs(panels)
+    rows = in_pairs(panels)
     tallest = max(len(panel.y_ticks) for panel in panels)
     height_in = (1.3 + 0.5 * max(tallest, 4)) * len(rows)
-    return FigureSpec(
-        f"{metric_title(metric)}, over pairs of parameters", caption, rows, height_in, widths
-    )
+    title = f"{metric_title(metric)}, over pairs of parameters"
+    return FigureSpec(title, caption, rows, height_in)
 
 
 def _heat_map_row(
@@ -181,7 +180,7 @@ def cases(study: StudyData, metric: str) -> FigureSpec | None:
         " difference whose interval contains 0 (dotted line) is not significant."
     )
     height_in = 1.5 + 0.36 * count
-    return FigureSpec(f"{metric_title(metric)}, by case", caption, [panels], height_in, (1.0, 1.0))
+    return FigureSpec(f"{metric_title(metric)}, by case", caption, [panels], height_in)
 
 
 def _interval_lines(estimates: Sequence[IntervalEstimate], first: int) -> list[Line]:

@@ -24,8 +24,7 @@ from testbed.reports.study.figures import study_figures
 from testbed.reports.study.report_table import ReportTable, format_cell, format_number
 from testbed.reports.study.study_data import StudyData, metric_words
 
-MAX_CARDS = 3  # metrics in the head
-MAX_CARDS = 6  # cases and laws in the head
+MAX_CARDS = 6  # in the head: metrics, or cases and laws
 
 
 def study_page(study: StudyData) -> Page:

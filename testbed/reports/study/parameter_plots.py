@@ -21,7 +21,7 @@ from testbed.reports.study.study_data import (
     running_quantiles,
     wrap_key,
 )
-from testbed.views.panels import BLACK, DASHED, Band, Line, Panel, Panel3D
+from testbed.views.panels import BLACK, DASHED, Band, Line, Panel
 
 MAX_DOTS = 1500  # of a scatter
 MIN_RUNNING = 30  # flights of a scatter with running quantiles
@@ -58,10 +58,9 @@ def decimate_evenly(count: int) -> NDArray[np.intp]:
     return np.unique(np.linspace(0, count - 1, MAX_DOTS).round().astype(np.intp))
 
 
-def in_pairs(panels: Sequence[Panel]) -> tuple[list[list[Panel | Panel3D]], tuple[float, ...]]:
-    """Arrange panels in rows of two, or one alone; return rows and widths of the columns."""
-    rows: list[list[Panel | Panel3D]] = [[*panels[k : k + 2]] for k in range(0, len(panels), 2)]
-    return rows, (1.0,) if len(panels) == 1 else (1.0, 1.0)
+def in_pairs(panels: Sequence[Panel]) -> list[list[Panel]]:
+    """Arrange panels in rows of two, or one alone."""
+    return [[*panels[k : k + 2]] for k in range(0, len(panels), 2)]
 
 
 def share_vertical_axis(panels: Sequence[Panel]) -> list[Panel]:
@@ -110,10 +109,10 @@ def parameters(study: StudyData, metric: str) -> FigureSpec | None:
         )
     if len(flights.cases) > len(STYLES):
         caption.append(f" The first {len(STYLES)} of {len(flights.cases)} cases are drawn.")
-    rows, widths = in_pairs(panels)
+    rows = in_pairs(panels)
     height_in = 3.4 * len(rows) + 0.3
     title = f"{metric_title(metric)}, against parameters"
-    return FigureSpec(title, "".join(caption), rows, height_in, widths)
+    return FigureSpec(title, "".join(caption), rows, height_in)
 
 
 def _groups(study: StudyData, parameter: Parameter) -> tuple[list[CurveGroup], str]:

@@ -14,7 +14,6 @@ from testbed.views.scene import BACKDROP, Scene
 
 TIMELINE = "sim_time"
 OVERLAYS = ("names", "ties", "out_of_view", "scale", "grid")  # in the frames of the cameras
-GRID = (84, 94, 110)
 
 
 def blueprint(

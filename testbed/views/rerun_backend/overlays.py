@@ -6,19 +6,19 @@ still in it, moves away as the formation spreads.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from itertools import chain
+from typing import Any
 
 import numpy as np
 import rerun as rr
 
-from testbed.core.frames import quaternion_xyzw
 from testbed.core.records import Array
 from testbed.views.annotations import Canvas, name_aircraft, scale_bar
 from testbed.views.batch import Batch
 from testbed.views.cameras import CameraTrack
 from testbed.views.layout import UNITS
-from testbed.views.rerun_backend.static_entities import SCALE
-from testbed.views.scene import Scene
+from testbed.views.scene import TEXT_COLOUR, Scene
 
 Columns = Iterator[tuple[str, rr.ComponentColumnList]]  # entity below the camera's, and its columns
 
@@ -34,11 +34,9 @@ ABOVE_CANVAS = Canvas(495.0, 340.0, LETTER_PX, LINE_PX)
 
 def camera_frame(track: CameraTrack) -> rr.ComponentColumnList:
     """Make the poses and scales of a camera's frame."""
-    euler = np.zeros((len(track.heading), 3))
-    euler[:, 2] = track.heading
     return rr.Transform3D.columns(
         translation=track.centre,
-        quaternion=quaternion_xyzw(euler),
+        quaternion=track.quaternion,
         scale=np.repeat(track.distance[:, None] / UNITS, 3, axis=1),
     )
 
@@ -57,69 +55,60 @@ def overlay(
         grid: whether to draw a grid through the middle, with the scale bar's length as step.
     """
     colours = np.array(scene.colours, np.uint8)
-    names, ties, arrows, bars, lines = [], [], [], [], []
+    positions, labels, paints, ties, tie_paints = [], [], [], [], []
+    tails, vectors, arrow_paints, bars, lines = [], [], [], [], []
     for k in range(len(batch)):
         one, at = batch.rows(slice(k, k + 1)), track.rows(slice(k, k + 1))
         label, edge = name_aircraft(scene, one, at, canvas, size)
         # arrows carry their texts themselves
         points = _in_frame(at, canvas, label.middle - [0.0, TEXT_PX], label.depth)
         texts = _in_frame(at, canvas, edge.middle - [0.0, TEXT_PX])
-        names.append(
-            (
-                np.concatenate([points, texts]),
-                label.texts + edge.texts,
-                colours[np.concatenate([label.rows, edge.rows])],
-            )
-        )
+        positions.append(np.concatenate([points, texts]))
+        labels.append(label.texts + edge.texts)
+        paints.append(colours[np.concatenate([label.rows, edge.rows])])
         ends = _in_frame(at, canvas, label.ties.reshape(-1, 2), np.repeat(label.tied_depth, 2))
-        ties.append((ends.reshape(-1, 2, 3), colours[label.tied]))
+        ties.append(ends.reshape(-1, 2, 3))
+        tie_paints.append(colours[label.tied])
         tail = _in_frame(at, canvas, edge.tip - ARROW_PX * edge.direction)
-        arrows.append((tail, _in_frame(at, canvas, edge.tip) - tail, colours[edge.rows]))
+        tails.append(tail)
+        vectors.append(_in_frame(at, canvas, edge.tip) - tail)
+        arrow_paints.append(colours[edge.rows])
         bar = scale_bar(at, canvas)
         left = np.array([BAR_PX[0], canvas.height - BAR_PX[1]])
         ends = _in_frame(at, canvas, np.stack([left, left + [bar.pixels, 0.0]]))
         bars.append((ends, f"{bar.length:g} m"))
         lines.append(_grid(bar.length * UNITS / float(at.distance[0])))
-    yield (
-        "names",
-        rr.Points3D.columns(
-            positions=np.concatenate([each[0] for each in names]),
-            labels=[text for each in names for text in each[1]],
-            colors=np.concatenate([each[2] for each in names]),
-        ).partition([len(each[0]) for each in names]),
-    )
-    if any(len(each[0]) for each in ties):
-        yield (
-            "ties",
-            rr.LineStrips3D.columns(
-                strips=np.concatenate([each[0] for each in ties]).astype(np.float32),
-                colors=np.concatenate([each[1] for each in ties]),
-            ).partition([len(each[0]) for each in ties]),
-        )
-    if any(len(each[0]) for each in arrows):
+    yield "names", _joined(rr.Points3D, positions=positions, labels=labels, colors=paints)
+    if any(map(len, ties)):
+        yield "ties", _joined(rr.LineStrips3D, strips=ties, colors=tie_paints)
+    if any(map(len, tails)):
         yield (
             "out_of_view",
-            rr.Arrows3D.columns(
-                origins=np.concatenate([each[0] for each in arrows]),
-                vectors=np.concatenate([each[1] for each in arrows]),
-                colors=np.concatenate([each[2] for each in arrows]),
-            ).partition([len(each[0]) for each in arrows]),
+            _joined(rr.Arrows3D, origins=tails, vectors=vectors, colors=arrow_paints),
         )
     yield (
         "scale",
         rr.LineStrips3D.columns(
             strips=np.array([ends for ends, _ in bars], np.float32),
             labels=[text for _, text in bars],
-            colors=[SCALE] * len(bars),
+            colors=[TEXT_COLOUR] * len(bars),
         ),
     )
     if grid:
-        yield (
-            "grid",
-            rr.LineStrips3D.columns(strips=np.concatenate(lines).astype(np.float32)).partition(
-                [len(each) for each in lines]
-            ),
-        )
+        yield "grid", _joined(rr.LineStrips3D, strips=lines)
+
+
+def _joined(archetype: Any, **of_samples: Sequence[Any]) -> rr.ComponentColumnList:  # noqa: ANN401
+    """Make columns of an archetype from the elements of each sample."""
+    counts = list(map(len, next(iter(of_samples.values()))))
+    joined: dict[str, Any] = {
+        name: list(chain.from_iterable(each)) if name == "labels" else np.concatenate(each)
+        for name, each in of_samples.items()
+    }
+    if "strips" in joined:
+        joined["strips"] = joined["strips"].astype(np.float32)
+    columns: rr.ComponentColumnList = archetype.columns(**joined).partition(counts)
+    return columns
 
 
 def _in_frame(

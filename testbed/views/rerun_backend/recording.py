@@ -29,7 +29,7 @@ import rerun as rr
 from testbed.core.frames import quaternion_xyzw
 from testbed.core.records import Array, Event
 from testbed.views import layout, plots
-from testbed.views.airframes import AirframeDrawing, draw_airframe
+from testbed.views.airframes import AirframeDrawing, draw_fleet
 from testbed.views.annotations import LOST, Links
 from testbed.views.batch import Batch, concat
 from testbed.views.cameras import (
@@ -71,9 +71,7 @@ class RerunRecording:
         self._scene = scene
         self._live = live
         self._at_s = at_s
-        self._drawings = [
-            draw_airframe(*each) for each in zip(scene.airframes, scene.wingspan, strict=True)
-        ]
+        self._drawings = draw_fleet(scene.airframes, scene.wingspan)
         self._links = Links(scene)
         self._trail_stride = layout.stride(scene, layout.TRAIL_ROWS_PER_S, 12.5)
         self._pending_points = np.empty((0, len(scene.names), 3))  # of trails
@@ -155,9 +153,7 @@ class RerunRecording:
         rows = self._every(layout.POSE_ROWS_PER_S)
         shown = batch.rows(rows)
         attitude = quaternion_xyzw(shown.euler)
-        level_euler = np.zeros((len(shown), 3))
-        level_euler[:, 2] = above.heading[rows]
-        heading = quaternion_xyzw(level_euler)
+        heading = above.rows(rows).quaternion
         deflection = np.stack([shown.aileron, shown.elevator, shown.rudder], axis=-1)
         for k, name in enumerate(self._scene.names):
             self._poses(f"world/aircraft/{name}", shown.time, shown.position[:, k], attitude[:, k])

@@ -4,20 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-import numpy as np
 import rerun as rr
 
 from testbed.core.records import Array
 from testbed.views import layout, plots
 from testbed.views.airframes import AirframeDrawing
-from testbed.views.meshes import DARK, LIGHT, MAIN, Mesh, vertex_normals
+from testbed.views.meshes import Mesh, vertex_normals
 from testbed.views.panels import Colour
-from testbed.views.rerun_backend.blueprint import GRID
-from testbed.views.scene import BACKDROP, Ground, Scene, ground, mix, secondary_colour
+from testbed.views.scene import (
+    BACKDROP,
+    GRID_COLOUR,
+    PATH_COLOUR,
+    TEXT_COLOUR,
+    WIND_COLOUR,
+    Ground,
+    Scene,
+    ground,
+    mix,
+    paint_colours,
+    secondary_colour,
+)
 
-PATH = (165, 165, 170)
-WIND, ESTIMATE = (255, 150, 190), (255, 255, 255)  # not colours of aircraft
-SCALE = (200, 205, 212)
+ESTIMATE: Colour = (255, 255, 255)
 GHOST_ALPHA, DISC_ALPHA = 60, 70  # of 255
 
 Entity = tuple[str, tuple[rr.AsComponents, ...]]  # path and components
@@ -45,7 +53,7 @@ def static_entities(
         ghost = painted(drawings[row].body, faded, faded, GHOST_ALPHA)
         drawn = f"world/slots/{scene.names[row]}/drawn"
         yield drawn, (rr.Transform3D(scale=framing.size), ghost)
-    arrows = rr.Arrows3D.from_fields(colors=WIND, radii=rr.Radius.ui_points(1.2))
+    arrows = rr.Arrows3D.from_fields(colors=WIND_COLOUR, radii=rr.Radius.ui_points(1.2))
     yield "world/chase/wind", (arrows,)
     points = rr.Points3D.from_fields(colors=ESTIMATE, radii=rr.Radius.ui_points(3.0))
     yield "world/chase/estimates", (points,)
@@ -53,9 +61,9 @@ def static_entities(
         small, thin = rr.Radius.ui_points(0.1), rr.Radius.ui_points(0.5)
         yield f"{camera}/names", (rr.Points3D.from_fields(radii=small, show_labels=True),)
         yield f"{camera}/ties", (rr.LineStrips3D.from_fields(radii=thin),)
-        yield f"{camera}/grid", (rr.LineStrips3D.from_fields(radii=thin, colors=GRID),)
+        yield f"{camera}/grid", (rr.LineStrips3D.from_fields(radii=thin, colors=GRID_COLOUR),)
         bar = rr.LineStrips3D.from_fields(
-            radii=rr.Radius.ui_points(1.5), colors=SCALE, show_labels=True
+            radii=rr.Radius.ui_points(1.5), colors=TEXT_COLOUR, show_labels=True
         )
         yield f"{camera}/scale", (bar,)
         arrows = rr.Arrows3D.from_fields(radii=rr.Radius.ui_points(2.0))
@@ -87,14 +95,14 @@ def _ground(area: Ground) -> Iterator[Entity]:
     ) -> tuple[rr.LineStrips3D]:
         return (rr.LineStrips3D(strips, radii=rr.Radius.ui_points(points), colors=colour),)
 
-    yield "world/ground/grid", lines(area.lines, GRID)
+    yield "world/ground/grid", lines(area.lines, GRID_COLOUR)
     if area.paths:
         shadows = [path * [1.0, 1.0, 0.0] for path in area.paths]
-        yield "world/paths/line", lines(area.paths, PATH, 0.8)
-        yield "world/paths/shadow", lines(shadows, GRID)
-        yield "world/paths/posts", lines(tuple(area.posts), GRID)
+        yield "world/paths/line", lines(area.paths, PATH_COLOUR, 0.8)
+        yield "world/paths/shadow", lines(shadows, GRID_COLOUR)
+        yield "world/paths/posts", lines(tuple(area.posts), GRID_COLOUR)
     small = rr.Radius.ui_points(0.1)
-    scale = rr.Points3D(area.label_positions, labels=area.labels, radii=small, colors=GRID)
+    scale = rr.Points3D(area.label_positions, labels=area.labels, radii=small, colors=GRID_COLOUR)
     yield "world/ground/scale", (scale,)
 
 
@@ -116,12 +124,10 @@ def _axes(plot: plots.TimePlot) -> Iterator[Entity]:
 
 def painted(mesh: Mesh, paint: Colour, trim: Colour, alpha: int = 255) -> rr.Mesh3D:
     """Colour a mesh for an aircraft."""
-    colours = np.empty((3, 3), np.uint8)
-    colours[MAIN], colours[LIGHT], colours[DARK] = paint, trim, (45, 50, 58)
     return rr.Mesh3D(
         vertex_positions=mesh.vertices,
         triangle_indices=mesh.triangles,
         vertex_normals=vertex_normals(mesh),
-        vertex_colors=colours[mesh.paint],
+        vertex_colors=paint_colours(paint, trim)[mesh.paint],
         albedo_factor=(255, 255, 255, alpha),
     )
