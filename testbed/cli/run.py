@@ -54,6 +54,9 @@ class ViewChoice(StrEnum):
     WEB = "web"
 
 
+# Options that may stand without a value: their values, the first of which is meant then.
+OPTIONAL_VALUES = {"--view": tuple(ViewChoice)}
+
 def run_command(
     scenario: ScenarioName,
     overrides: Overrides = None,
