@@ -433,7 +433,7 @@ def _placed(node: Node, place: FilePosition) -> Node:
         value = {name: _placed(child, place) for name, child in value.items()}
     elif isinstance(value, tuple):
         value = tuple(_placed(child, place) for child in value)
-    return Node(value, place, place, node.folder)
+    return Node(value, place, place, node.folder, node.text)
 
 
 def _set_value(node: Node, keys: tuple[str, ...], done: tuple[str, ...], setting: Setting) -> Node:
