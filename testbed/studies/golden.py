@@ -22,6 +22,7 @@ from testbed.studies.golden_compare import (
 from testbed.studies.golden_table import (
     MIN_BAND_VALUES,
     GoldenTable,
+    is_table,
     make_table,
     read_table,
     table_numbers,
@@ -138,6 +139,11 @@ def _find_case(name: str, folder: Path | None, new: bool, overrides: tuple[str, 
     except InputError as error:
         if not new:
             raise InputError(f"{error} (write a new one with --update --reason TEXT)") from None
+        if not is_table(path):
+            raise InputError(
+                f"{path}: is no golden table, so --update does not replace it (move it, or name "
+                "another folder with --golden)"
+            ) from None
         return GoldenCase(name, source, scenario, path, None, table_error=str(error))
 
 
