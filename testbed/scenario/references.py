@@ -7,6 +7,7 @@ is that of a file there; no other folder is searched.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +19,8 @@ from testbed.scenario.problems import FilePosition, Problem, ScenarioError, did_
 from testbed.scenario.schema import Scenario
 from testbed.scenario.yaml_io import Node, walk
 
-_SCENARIOS = Path("scenarios")
-_STUDIES = _SCENARIOS / "studies"
-_TUNINGS = _STUDIES / "tunes"
-_DATA = _SCENARIOS / "data"
+_DATA = Path("scenarios/data")
 _YAML, _PARAM = ".yaml", ".param"
-_YAML_FILE = "a .yaml file"
 _PACKAGE = Path(__file__).resolve().parent.parent
 
 
@@ -41,54 +38,38 @@ def list_aircraft() -> tuple[str, ...]:
     return tuple(sorted(f.name for f in folder.glob("*") if (f / f"{f.name}.xml").is_file()))
 
 
-def list_scenarios() -> tuple[str, ...]:
-    """Return the names of the scenarios that come with the testbed, sorted."""
-    return _stems(library() / _SCENARIOS, _YAML)
+@dataclass(frozen=True, slots=True)
+class _YamlFiles:
+    """YAML files of one kind in a folder of the library, which are named without their ending."""
+
+    kind: str
+    folder: Path
+
+    def list(self) -> tuple[str, ...]:
+        """Return the names of those that come with the testbed, sorted."""
+        return _stems(library() / self.folder, _YAML)
+
+    def find(self, name_or_path: str | Path, *, folder: Path | None = None) -> Path:
+        """Return the file of a name or path (from `folder`, or here).
+
+        Raises:
+            ScenarioError: there is no such file.
+        """
+        own = library() / self.folder / f"{name_or_path}{_YAML}"
+        return _find(self.kind, name_or_path, own, self.list, "a .yaml file", folder)
 
 
-def list_studies() -> tuple[str, ...]:
-    """Return the names of the studies that come with the testbed, sorted."""
-    return _stems(library() / _STUDIES, _YAML)
-
-
-def list_tunings() -> tuple[str, ...]:
-    """Return the names of the tunes that come with the testbed, sorted."""
-    return _stems(library() / _TUNINGS, _YAML)
+_SCENARIOS = _YamlFiles("scenario", Path("scenarios"))
+_STUDIES = _YamlFiles("study", Path("scenarios/studies"))
+_TUNINGS = _YamlFiles("tune", Path("scenarios/studies/tunes"))
+list_scenarios, find_scenario = _SCENARIOS.list, _SCENARIOS.find
+list_studies, find_study = _STUDIES.list, _STUDIES.find
+list_tunings, find_tuning = _TUNINGS.list, _TUNINGS.find
 
 
 def list_data() -> tuple[str, ...]:
     """Return the names of the data files that scenarios use, sorted."""
     return tuple(sorted(f.name for f in (library() / _DATA).glob("*.csv")))
-
-
-def find_scenario(name_or_path: str | Path, *, folder: Path | None = None) -> Path:
-    """Return the file of a scenario, by name or path (from `folder`, or here).
-
-    Raises:
-        ScenarioError: there is no such file.
-    """
-    own = library() / _SCENARIOS / f"{name_or_path}{_YAML}"
-    return _find("scenario", name_or_path, own, list_scenarios, _YAML_FILE, folder)
-
-
-def find_study(name_or_path: str | Path) -> Path:
-    """Return the file of a study, by name or path.
-
-    Raises:
-        ScenarioError: there is no such file.
-    """
-    own = library() / _STUDIES / f"{name_or_path}{_YAML}"
-    return _find("study", name_or_path, own, list_studies, _YAML_FILE)
-
-
-def find_tuning(name_or_path: str | Path) -> Path:
-    """Return the file of a tune, by name or path.
-
-    Raises:
-        ScenarioError: there is no such file.
-    """
-    own = library() / _TUNINGS / f"{name_or_path}{_YAML}"
-    return _find("tune", name_or_path, own, list_tunings, _YAML_FILE)
 
 
 def find_aircraft(name_or_path: str | Path, *, folder: Path | None = None) -> Path:
