@@ -12,7 +12,7 @@ from pathlib import Path
 from testbed.core.numbers import parse_whole
 from testbed.scenario import references
 from testbed.scenario.arguments import check_overrides, check_path, with_changes
-from testbed.scenario.fields import KeyPath
+from testbed.scenario.fields import KeyPath, merge_maps
 from testbed.scenario.middle_loop import GainChanges, Guidance, MiddleLoopFile, MiddleLoopGains
 from testbed.scenario.pattern import drop_follower_keys, expand_pattern, is_pattern_key
 from testbed.scenario.problems import (
@@ -158,13 +158,7 @@ def load_middle_loop(
         gains = profiles[profile]
         if not changes:
             return gains
-        data = gains.model_dump(mode="json")
-        for key, value in changes.items():
-            inner = data.get(key)
-            if isinstance(value, Mapping) and isinstance(inner, dict):
-                data[key] = {**inner, **value}
-            else:
-                data[key] = value
+        data = merge_maps(gains.model_dump(mode="json"), changes)
         return validate(plant(data, CHANGES), MiddleLoopGains)
     hint = did_you_mean(profile, profiles)
     known = ", ".join(profiles)

@@ -7,6 +7,7 @@ is that of a file there; no other folder is searched.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -228,70 +229,52 @@ class _Resolver:
 
     def aircraft(self, loc: KeyPath, aircraft: Leader | Follower) -> None:
         """Resolve the airframe and the autopilot parameters."""
-        folder = self.folder(*loc, "aircraft")
-        try:
+        with self.problems_at(*loc, "aircraft") as folder:
             home = find_aircraft(aircraft.aircraft, folder=folder)
-        except ScenarioError as error:
-            self.add(error, *loc, "aircraft")
-            return
-        own = library() / "aircraft" / home.name
-        self.changes.append(((*loc, "aircraft"), home.name if home == own else str(home)))
-        folder = self.folder(*loc, "tune")
-        try:
-            tune = find_tune(home, aircraft.tune, folder=folder)
-        except ScenarioError as error:
-            self.add(error, *loc, "tune")
-            return
-        name = tune.stem if tune == home / f"{tune.stem}.param" else str(tune)
-        self.changes.append(((*loc, "tune"), name))
+            own = library() / "aircraft" / home.name
+            self.changes.append(((*loc, "aircraft"), home.name if home == own else str(home)))
+            with self.problems_at(*loc, "tune") as folder:
+                tune = find_tune(home, aircraft.tune, folder=folder)
+                name = tune.stem if tune == home / f"{tune.stem}.param" else str(tune)
+                self.changes.append(((*loc, "tune"), name))
 
     def recording(self, loc: KeyPath, file: str) -> None:
         """Resolve a data file."""
-        try:
-            found = find_data(file, folder=self.folder(*loc))
-        except ScenarioError as error:
-            self.add(error, *loc)
-            return
-        own = library() / "scenarios" / "data" / found.name
-        self.changes.append((loc, found.name if found == own else str(found)))
+        with self.problems_at(*loc) as folder:
+            found = find_data(file, folder=folder)
+            own = library() / _DATA / found.name
+            self.changes.append((loc, found.name if found == own else str(found)))
 
     def gains(self, loc: KeyPath, file: str) -> None:
         """Resolve a file of gains."""
-        found = absolute(file, self.folder(*loc))
-        if is_file(found):
+        with self.problems_at(*loc) as folder:
+            found = absolute(file, folder)
+            if not is_file(found):
+                text = f"there is no file {found} (write the path of a file like an airframe's "
+                raise ScenarioError([Problem(FilePosition(str(found)), f"{text}{_GAINS})")])
             self.changes.append((loc, str(found)))
-            return
-        node, path, left = walk(self.tree, loc)
-        text = f"there is no file {found} (write the path of a file like an airframe's {_GAINS})"
-        self.problems.append(Problem(node.place, text, path + left))
 
     def code(self, loc: KeyPath, name: str) -> None:
         """Resolve a user's own law or function."""
-        try:
-            folder = self.folder(*loc)
+        with self.problems_at(*loc) as folder:
             # in a text or a setting, unlike in a file, the caller chooses the code
             in_file = is_file(Path(walk(self.tree, loc)[0].place.source))
-            found = find_code(
-                name, folder=folder, within=folder if in_file else self._settings_folder
-            )
-        except ScenarioError as error:
-            self.add(error, *loc)
-            return
-        file, _, object_name = found.rpartition(":")
-        if Path(file).parent == library() / "scenarios":
-            found = f"{Path(file).stem}:{object_name}"
-        self.changes.append((loc, found))
+            within = folder if in_file else self._settings_folder
+            found = find_code(name, folder=folder, within=within)
+            file, _, object_name = found.rpartition(":")
+            if Path(file).parent == library() / "scenarios":
+                found = f"{Path(file).stem}:{object_name}"
+            self.changes.append((loc, found))
 
-    def folder(self, *loc: str | int) -> Path:
-        """Return the base of a relative path at this location."""
-        return walk(self.tree, loc)[0].folder
-
-    def add(self, error: ScenarioError, *loc: str | int) -> None:
-        """Add the problems of an error, at the place of the reference."""
+    @contextmanager
+    def problems_at(self, *loc: str | int) -> Iterator[Path]:
+        """Yield the base of relative paths at a location, the place of the block's problems."""
         node, path, left = walk(self.tree, loc)
-        self.problems += [
-            Problem(node.place, problem.text, path + left) for problem in error.problems
-        ]
+        try:
+            yield node.folder
+        except ScenarioError as error:
+            texts = (problem.text for problem in error.problems)
+            self.problems += [Problem(node.place, text, path + left) for text in texts]
 
 
 def resolve_references(
