@@ -12,7 +12,7 @@ from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
 from types import CodeType, ModuleType
-from typing import Annotated, Any, Final, TypeVar, get_args, get_type_hints
+from typing import Annotated, Any, Final, get_args, get_type_hints
 
 import typer
 from typer.core import TyperCommand, TyperGroup, TyperOption
@@ -25,7 +25,6 @@ from testbed.core.interrupts import count_sigint
 from testbed.core.numbers import parse_number
 
 MARKUP: Final = "rich"
-_Parameters = TypeVar("_Parameters", bound=list[Any])
 
 # Commands by panel of `testbed --help`, each with its module in this package.
 PANELS: Final[Mapping[str, Mapping[str, str]]] = {
@@ -103,14 +102,6 @@ def help_text(command: str) -> str:
     return "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)
 
 
-def _without_flag_types(parameters: _Parameters) -> _Parameters:
-    """Leave out the type of flags in the help: they take no value."""
-    for each in parameters:
-        if isinstance(each, TyperOption) and each.is_flag:
-            each.metavar = ""
-    return parameters
-
-
 def _import_help_printer() -> None:
     """Import what typer prints help with, without rich's Markdown and tracebacks.
 
@@ -129,7 +120,24 @@ def _import_help_printer() -> None:
             del sys.modules[name]
 
 
-class _Command(TyperCommand):
+class _Help:
+    """What the help of all commands and of their group have in common."""
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401
+        """Print the help; see typer."""
+        _import_help_printer()
+        super().format_help(ctx, formatter)  # type: ignore[misc]  # typer's
+
+    def get_params(self, ctx: Any) -> Any:  # noqa: ANN401 - typer's own copy of click
+        """Return the parameters without the types of flags, which take no value."""
+        parameters = super().get_params(ctx)  # type: ignore[misc]  # typer's
+        for each in parameters:
+            if isinstance(each, TyperOption) and each.is_flag:
+                each.metavar = ""
+        return parameters
+
+
+class _Command(_Help, TyperCommand):
     # Options that may stand without a value: their values, the first of which is meant then.
     optional_values: Mapping[str, tuple[str, ...]] = {}  # noqa: RUF012
     number_options: frozenset[str] = frozenset()  # options whose value is a number
@@ -157,17 +165,8 @@ class _Command(TyperCommand):
             written += [each, *implied]
         return super().parse_args(ctx, written)
 
-    def format_help(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401
-        """Print the help; see typer."""
-        _import_help_printer()
-        super().format_help(ctx, formatter)
 
-    def get_params(self, ctx: Any) -> Any:  # noqa: ANN401 - typer's own copy of click
-        """Return the parameters, with that of --help."""
-        return _without_flag_types(super().get_params(ctx))
-
-
-class CommandGroup(TyperGroup):
+class CommandGroup(_Help, TyperGroup):
     """All commands by name; `testbed --help` lists them without importing their modules."""
 
     def __init__(self, **options: Any) -> None:  # noqa: ANN401
@@ -180,15 +179,6 @@ class CommandGroup(TyperGroup):
             for panel, modules in PANELS.items()
             for name in modules
         }
-
-    def format_help(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401
-        """Print the help; see typer."""
-        _import_help_printer()
-        super().format_help(ctx, formatter)
-
-    def get_params(self, ctx: Any) -> Any:  # noqa: ANN401 - typer's own copy of click
-        """Return the parameters of the group itself."""
-        return _without_flag_types(super().get_params(ctx))
 
     def resolve_command(self, *args: Any) -> tuple[Any, Any, list[str]]:  # noqa: ANN401
         """Find the command that is called and build its options; see typer."""

@@ -374,9 +374,9 @@ class Setting:
     value: Node
 
     @property
-    def source(self) -> str:
-        """Return what stands for the name of a file in errors."""
-        return f"--set {self.text}"
+    def place(self) -> FilePosition:
+        """Return what stands for a place in a file in errors."""
+        return FilePosition(f"--set {self.text}")
 
     @property
     def tree(self) -> Node:
@@ -397,13 +397,15 @@ def parse_setting(text: str) -> Setting:
     keys = tuple(key.strip().split("."))
     source = f"--set {text}"
     if not text.isprintable() and any("\ud800" <= each <= "\udfff" for each in text):
-        raise _error(source, (), "is not UTF-8 text (write it in UTF-8)")
+        raise error_at(FilePosition(source), "is not UTF-8 text (write it in UTF-8)")
     if not equals or not all(keys):
-        raise _error(source, (), "is not key.path=value (write for example rates.log_hz=50)")
+        raise error_at(
+            FilePosition(source), "is not key.path=value (write for example rates.log_hz=50)"
+        )
     try:
         node = parse(value, source, Path.cwd())
     except ScenarioError as error:
-        raise _error(source, keys, error.problems[0].text) from None
+        raise error_at(FilePosition(source), error.problems[0].text, keys) from None
     return Setting(text, keys, _placed(node, FilePosition(source)))
 
 
@@ -451,7 +453,7 @@ def _set_value(node: Node, keys: tuple[str, ...], done: tuple[str, ...], setting
             else:
                 named[name] = _set_value(child, rest, (*done, name), setting)
         return replace(node, value=named)
-    raise _error(setting.source, done, f"is {node.value!r}, which has no {key!r} inside")
+    raise error_at(setting.place, f"is {node.value!r}, which has no {key!r} inside", done)
 
 
 def _names(
@@ -462,7 +464,7 @@ def _names(
     if done[:2] == _LINKS and len(done) < len(_LINKS) + 2:
         return tuple(dict.fromkeys((*named, "*")))
     if not named:
-        raise _error(setting.source, done, "is empty: * stands for nothing")
+        raise error_at(setting.place, "is empty: * stands for nothing", done)
     return tuple(named)
 
 
@@ -482,13 +484,9 @@ def _indices(
         return (names.index(key),)
     known = [name for name in names if isinstance(name, str)]
     indices = f"0 to {len(items) - 1}" if items else "nothing: it is empty"
-    raise _error(
-        setting.source,
-        done,
+    raise error_at(
+        setting.place,
         f"has no element {key!r}{did_you_mean(key, known)} (it has "
         f"{', '.join([indices, *known])}; * is all of them)",
+        done,
     )
-
-
-def _error(source: str, path: tuple[str, ...], text: str) -> ScenarioError:
-    return ScenarioError([Problem(FilePosition(source), text, path)])

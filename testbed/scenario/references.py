@@ -18,7 +18,7 @@ from testbed.scenario.fields import KeyPath
 from testbed.scenario.network_checks import link_entries
 from testbed.scenario.problems import FilePosition, Problem, ScenarioError, did_you_mean
 from testbed.scenario.schema import Scenario
-from testbed.scenario.yaml_io import Node, walk
+from testbed.scenario.yaml_io import Node, error_at, walk
 
 _DATA = Path("scenarios/data")
 _YAML, _PARAM = ".yaml", ".param"
@@ -86,7 +86,7 @@ def find_aircraft(name_or_path: str | Path, *, folder: Path | None = None) -> Pa
         return path
     if _exists(path, Path.is_dir):
         text = f"{path} has no {path.name}.xml (write a folder with a model of its name)"
-        raise ScenarioError([Problem(FilePosition(str(path)), text)])
+        raise error_at(FilePosition(str(path)), text)
     raise _not_found("aircraft", text, list_aircraft(), "a folder with a JSBSim model", path)
 
 
@@ -130,7 +130,7 @@ def find_code(name: str, *, folder: Path | None = None, within: Path | None = No
         path = absolute(module, folder)
         if not is_file(path):
             text = f"there is no file {path} (write module:name, with module.py in this folder)"
-            raise ScenarioError([Problem(FilePosition(str(path)), text)])
+            raise error_at(FilePosition(str(path)), text)
         _refuse_outside(path, within)
         return f"{path}:{object_name}"
     file = f"{module.replace('.', '/')}.py"
@@ -147,7 +147,7 @@ def find_code(name: str, *, folder: Path | None = None, within: Path | None = No
 def _refuse_outside(path: Path, folder: Path | None) -> None:
     if folder is not None and not path.is_relative_to(folder.resolve()):
         text = f"{path} is not in the folder of the file that names it, {folder} (put a copy there)"
-        raise ScenarioError([Problem(FilePosition(str(path)), text)])
+        raise error_at(FilePosition(str(path)), text)
 
 
 def _find(
@@ -213,7 +213,7 @@ def _not_found(
             f"there is no {what} {text!r}{did_you_mean(text, known)} (write one of: {names}; or "
             f"the path of {path_of}, relative to {looked_at.parent})"
         )
-    return ScenarioError([Problem(FilePosition(text), message)])
+    return error_at(FilePosition(text), message)
 
 
 _GAINS = "middle_loop.yaml"
@@ -251,7 +251,7 @@ class _Resolver:
             found = absolute(file, folder)
             if not is_file(found):
                 text = f"there is no file {found} (write the path of a file like an airframe's "
-                raise ScenarioError([Problem(FilePosition(str(found)), f"{text}{_GAINS})")])
+                raise error_at(FilePosition(str(found)), f"{text}{_GAINS})")
             self.changes.append((loc, str(found)))
 
     def code(self, loc: KeyPath, name: str) -> None:
