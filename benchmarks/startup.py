@@ -25,7 +25,7 @@ ENVIRONMENT = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTEC
 TO_FIRST_TICK = """
 import os, sys
 import testbed.cli.progress
-from testbed.cli.main import main
+from testbed.cli.entry import main
 
 class FirstTick:
     zero_copy = True

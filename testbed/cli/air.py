@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
 from rich.table import Table
 from rich.text import Text
 
@@ -16,10 +15,10 @@ from testbed.cli.options import (
     Overrides,
     ScenarioName,
     Seed,
+    finite_option,
     load_scenario,
     output_option,
-    require_finite,
-    require_positive,
+    positive_option,
 )
 from testbed.cli.output import (
     MISSING,
@@ -54,44 +53,25 @@ def air_command(
             metavar="FILE.npz", help="Write the wind at the probes to this file, as NumPy arrays."
         ),
     ] = None,
-    rate: Annotated[
-        float, typer.Option(metavar="HZ", help="Samples per second.", callback=require_positive)
-    ] = 50.0,
-    duration: Annotated[
-        float,
-        typer.Option(metavar="SECONDS", help="Length of the flight.", callback=require_positive),
-    ] = 600.0,
+    rate: Annotated[float, positive_option("HZ", "Samples per second.")] = 50.0,
+    duration: Annotated[float, positive_option("SECONDS", "Length of the flight.")] = 600.0,
     airspeed: Annotated[
         float | None,
-        typer.Option(
-            metavar="M/S",
-            help="True airspeed.  \\[default: that of the leader's mission, or 20]",
-            callback=require_positive,
-        ),
+        positive_option("M/S", "True airspeed.  \\[default: that of the leader's mission, or 20]"),
     ] = None,
     course: Annotated[
         float,
-        typer.Option(
-            metavar="DEG",
-            help="Direction of flight relative to the air, degrees clockwise from north.",
-            callback=require_finite,
+        finite_option(
+            "DEG", "Direction of flight relative to the air, degrees clockwise from north."
         ),
     ] = 0.0,
     height: Annotated[
         float | None,
-        typer.Option(
-            metavar="M",
-            help="Height above the ground.  \\[default: that of the leader's start]",
-            callback=require_positive,
-        ),
+        positive_option("M", "Height above the ground.  \\[default: that of the leader's start]"),
     ] = None,
     separation: Annotated[
         float | None,
-        typer.Option(
-            metavar="M",
-            help="Fly a second probe at this distance to the right of the first.",
-            callback=require_positive,
-        ),
+        positive_option("M", "Fly a second probe at this distance to the right of the first."),
     ] = None,
     overrides: Overrides = None,
     seed: Seed = None,

@@ -16,7 +16,7 @@ from testbed.cli.options import (
     JsonFile,
     Overrides,
     output_option,
-    require_positive,
+    positive_option,
     scenario_names,
 )
 from testbed.cli.output import (
@@ -53,10 +53,8 @@ def check_command(
     ] = None,
     seeds: Annotated[
         int | None,
-        typer.Option(
-            metavar="N",
-            help="Flights per scenario.  \\[default: 4 seeds of the table; 16 for a new table]",
-            callback=require_positive,
+        positive_option(
+            "N", "Flights per scenario.  \\[default: 4 seeds of the table; 16 for a new table]"
         ),
     ] = None,
     overrides: Overrides = None,

@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from testbed.cli.options import RunName, StartTime, output_option, require_finite
+from testbed.cli.options import RunName, StartTime, finite_option, output_option
 from testbed.cli.output import (
     check_output_path,
     describe_file,
@@ -193,18 +193,14 @@ def import_command(
     ] = None,
     begin: Annotated[
         float | None,
-        typer.Option(
-            "--from",
-            metavar="S",
-            help="Import nothing earlier: seconds since boot for a .bin, since the first record "
+        finite_option(
+            "S",
+            "Import nothing earlier: seconds since boot for a .bin, since the first record "
             "for a .tlog.",
-            callback=require_finite,
+            "--from",
         ),
     ] = None,
-    end: Annotated[
-        float | None,
-        typer.Option("--to", metavar="S", help="Import nothing later.", callback=require_finite),
-    ] = None,
+    end: Annotated[float | None, finite_option("S", "Import nothing later.", "--to")] = None,
     mode: Annotated[
         str, typer.Option(metavar="MODE", help="Import flight in this mode only; any: in all.")
     ] = "FBWA",

@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from testbed.cli.exit_codes import ExitCode
-from testbed.cli.options import AircraftName, JsonFile, ParamFile, require_finite
+from testbed.cli.options import AircraftName, JsonFile, ParamFile, finite_option, require_finite
 from testbed.cli.output import (
     MISSING,
     check_output_path,
@@ -46,22 +46,14 @@ def _check_altitude(parameter: typer.CallbackParam, altitude: float) -> float:
     return altitude
 
 
-Airspeed = Annotated[
-    float, typer.Option(metavar="M/S", help="True airspeed, m/s.", callback=require_finite)
-]
+Airspeed = Annotated[float, finite_option("M/S", "True airspeed, m/s.")]
 Climb = Annotated[
     float,
-    typer.Option(
-        metavar="DEG",
-        help="Flight path angle, degrees; negative in a descent.",
-        callback=require_finite,
-    ),
+    finite_option("DEG", "Flight path angle, degrees; negative in a descent."),
 ]
 Bank = Annotated[
     float,
-    typer.Option(
-        metavar="DEG", help="Bank angle, degrees; right wing down > 0.", callback=require_finite
-    ),
+    finite_option("DEG", "Bank angle, degrees; right wing down > 0."),
 ]
 Altitude = Annotated[
     float,
@@ -131,16 +123,9 @@ def step_command(
     aircraft: AircraftName,
     airspeed: Annotated[
         float | None,
-        typer.Option(
-            metavar="M/S",
-            help="Airspeed before the step.  \\[default: the profile's trim airspeed]",
-            callback=require_finite,
-        ),
+        finite_option("M/S", "Airspeed before the step.  \\[default: the profile's trim airspeed]"),
     ] = None,
-    step: Annotated[
-        float,
-        typer.Option(metavar="M/S", help="Step of the airspeed command.", callback=require_finite),
-    ] = 2.0,
+    step: Annotated[float, finite_option("M/S", "Step of the airspeed command.")] = 2.0,
     profile: Annotated[
         str,
         typer.Option(
@@ -217,25 +202,18 @@ def respond_command(
     param: ParamFile = "recorded",
     airspeed: Annotated[
         float | None,
-        typer.Option(
-            callback=require_finite,
-            metavar="M/S",
-            help="True airspeed at the start.  \\[default: airspeed_mps of the first row, or 22]",
+        finite_option(
+            "M/S", "True airspeed at the start.  \\[default: airspeed_mps of the first row, or 22]"
         ),
     ] = None,
     altitude: Annotated[
         float | None,
-        typer.Option(
-            metavar="M",
-            callback=require_finite,
-            help="Altitude above the origin.  \\[default: altitude_m of the first row, or 100]",
+        finite_option(
+            "M", "Altitude above the origin.  \\[default: altitude_m of the first row, or 100]"
         ),
     ] = None,
     origin_elevation: Annotated[
-        float,
-        typer.Option(
-            metavar="M", help="Elevation of the origin above sea level.", callback=require_finite
-        ),
+        float, finite_option("M", "Elevation of the origin above sea level.")
     ] = 300.0,
     sitl_rate: Annotated[
         float | None,

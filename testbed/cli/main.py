@@ -2,62 +2,143 @@
 
 from __future__ import annotations
 
-import gc
 import inspect
 import math
 import os
 import sys
 import traceback
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any, ClassVar, Final, TypeVar, get_args, get_type_hints
+from functools import cache
+from importlib import import_module
+from importlib.util import find_spec
+from types import CodeType, ModuleType
+from typing import Annotated, Any, Final, get_args, get_type_hints
 
 import typer
 from typer.core import TyperCommand, TyperGroup, TyperOption
 
 from testbed import __version__
-from testbed.cli.air import air_command
-from testbed.cli.arduplane import arduplane_command
-from testbed.cli.check import check_command
-from testbed.cli.compare import compare_command
 from testbed.cli.exit_codes import EXIT_CODES_HELP, ExitCode
-from testbed.cli.export import export_command, import_command, recover_command
-from testbed.cli.inspect import linearize_command, respond_command, step_command, trim_command
-from testbed.cli.law import law_command
-from testbed.cli.margins import margins_command
-from testbed.cli.network import network_command
 from testbed.cli.output import guard_standard_streams
-from testbed.cli.report import report_command
-from testbed.cli.run import ViewChoice, run_command
-from testbed.cli.runs import prune_command
-from testbed.cli.scenario import list_command, schema_command, validate_command
-from testbed.cli.study_report import study_report_command
-from testbed.cli.sweep import sweep_command
-from testbed.cli.tune import tune_command
-from testbed.cli.video import video_command
-from testbed.cli.view import shot_command, view_command
 from testbed.core.errors import ExternalProgramLost, InputError, memory_shortage
 from testbed.core.interrupts import count_sigint
 from testbed.core.numbers import parse_number
 
 MARKUP: Final = "rich"
-_Parameters = TypeVar("_Parameters", bound=list[Any])
+
+# Commands by panel of `testbed --help`, each with its module in this package.
+PANELS: Final[Mapping[str, Mapping[str, str]]] = {
+    "Fly": {
+        "run": "run",
+        "validate": "scenario",
+        "list": "scenario",
+        "law": "law",
+        "margins": "margins",
+        "network": "network",
+        "air": "air",
+        "schema": "scenario",
+    },
+    "Look": {
+        "view": "view",
+        "shot": "view",
+        "video": "video",
+        "report": "report",
+        "compare": "compare",
+        "export": "export",
+        "recover": "export",
+        "prune": "runs",
+    },
+    "Study": {"sweep": "sweep", "study-report": "study_report", "tune": "tune"},
+    "Aircraft": {
+        "trim": "inspect",
+        "linearize": "inspect",
+        "step": "inspect",
+        "respond": "inspect",
+        "import": "export",
+        "arduplane": "arduplane",
+    },
+    "CI": {"check": "check"},
+}
+_MODULES: Final = {
+    name: f"testbed.cli.{module}" for panel in PANELS.values() for name, module in panel.items()
+}
+# Names of a command's parameters, by command and panel of its help.
+_OPTION_PANELS: Final[Mapping[str, Mapping[str, tuple[str, ...]]]] = {
+    "run": {
+        "Scenario": ("overrides", "seed", "duration"),
+        "Output": ("out", "json", "quiet"),
+        "View": ("view", "host", "follow", "rrd"),
+    }
+}
+_WITH_EXIT_CODES: Final = (
+    "run", "view", "shot", "check", "compare", "sweep", "tune", "respond", "arduplane",
+)  # fmt: skip
 
 
-def help_text(function: Callable[..., None]) -> str:
-    """Read a command's docstring, each paragraph as one line, to be wrapped to the terminal."""
-    paragraphs = (inspect.getdoc(function) or "").split("\n\n")
+def _function_name(command: str) -> str:
+    return f"{command.replace('-', '_')}_command"
+
+
+@cache
+def _code(module: str) -> CodeType:
+    """Return the code of a module, from its bytecode file, without running it."""
+    spec = find_spec(module)
+    assert spec is not None
+    loader: Any = spec.loader  # importlib.abc has its type, and takes long to import
+    code: CodeType = loader.get_code(module)
+    return code
+
+
+def help_text(command: str) -> str:
+    """Return a command's docstring, each paragraph as one line, to be wrapped to the terminal.
+
+    It is read from the code of the module: to run all modules would add a sixth to the time of
+    `testbed --help`.
+    """
+    name = _function_name(command)
+    functions = (each for each in _code(_MODULES[command]).co_consts if hasattr(each, "co_name"))
+    docstring = next(each.co_consts[0] for each in functions if each.co_name == name)
+    text = docstring if isinstance(docstring, str) else ""  # with -OO there are no docstrings
+    paragraphs = inspect.cleandoc(text).split("\n\n")
     return "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)
 
 
-def _without_flag_types(parameters: _Parameters) -> _Parameters:
-    """Leave out the type of flags in the help: they take no value."""
-    for each in parameters:
-        if isinstance(each, TyperOption) and each.is_flag:
-            each.metavar = ""
-    return parameters
+def _import_help_printer() -> None:
+    """Import what typer prints help with, without rich's Markdown and tracebacks.
+
+    These take a quarter of the time of `testbed --help`, and neither is used: the markup is rich's
+    own, and `main` prints tracebacks.
+    """
+    unused = {"rich.markdown": "Markdown", "rich.traceback": "Traceback"}
+    missing = [name for name in unused if name not in sys.modules]
+    for name in missing:
+        sys.modules[name] = placeholder = ModuleType(name)
+        setattr(placeholder, unused[name], type(unused[name], (), {}))
+    try:
+        import_module("typer.rich_utils")
+    finally:
+        for name in missing:
+            del sys.modules[name]
 
 
-class _Command(TyperCommand):
+class _Help:
+    """What the help of all commands and of their group have in common."""
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401
+        """Print the help; see typer."""
+        _import_help_printer()
+        super().format_help(ctx, formatter)  # type: ignore[misc]  # typer's
+
+    def get_params(self, ctx: Any) -> Any:  # noqa: ANN401 - typer's own copy of click
+        """Return the parameters without the types of flags, which take no value."""
+        parameters = super().get_params(ctx)  # type: ignore[misc]  # typer's
+        for each in parameters:
+            if isinstance(each, TyperOption) and each.is_flag:
+                each.metavar = ""
+        return parameters
+
+
+class _Command(_Help, TyperCommand):
     # Options that may stand without a value: their values, the first of which is meant then.
     optional_values: Mapping[str, tuple[str, ...]] = {}  # noqa: RUF012
     number_options: frozenset[str] = frozenset()  # options whose value is a number
@@ -85,40 +166,20 @@ class _Command(TyperCommand):
             written += [each, *implied]
         return super().parse_args(ctx, written)
 
-    def get_params(self, ctx: Any) -> Any:  # noqa: ANN401 - typer's own copy of click
-        """Return the parameters, with that of --help."""
-        return _without_flag_types(super().get_params(ctx))
 
-
-class CommandGroup(TyperGroup):
-    """All commands by name; `testbed --help` lists them without building their options."""
-
-    panels: ClassVar[Mapping[str, Mapping[str, Callable[..., None]]]]  # commands by panel
-    epilogs: ClassVar[Mapping[str, str]]  # by command; optional
-    # Names of a command's parameters, by command and panel of its help; optional.
-    option_panels: ClassVar[Mapping[str, Mapping[str, tuple[str, ...]]]]
-    # Options of a command that may stand without a value, and their values; optional.
-    optional_values: ClassVar[Mapping[str, Mapping[str, tuple[str, ...]]]]
-    functions: ClassVar[Mapping[str, Callable[..., None]]]  # all commands
-
-    def __init_subclass__(cls) -> None:
-        """Join the panels."""
-        cls.functions = {n: each for panel in cls.panels.values() for n, each in panel.items()}
+class CommandGroup(_Help, TyperGroup):
+    """All commands by name; `testbed --help` lists them without importing their modules."""
 
     def __init__(self, **options: Any) -> None:  # noqa: ANN401
         """List the commands with their help texts, without options."""
         super().__init__(**options)
         self.commands = {
             name: TyperCommand(
-                name, help=help_text(function), rich_markup_mode=MARKUP, rich_help_panel=panel
+                name, help=help_text(name), rich_markup_mode=MARKUP, rich_help_panel=panel
             )
-            for panel, functions in self.panels.items()
-            for name, function in functions.items()
+            for panel, modules in PANELS.items()
+            for name in modules
         }
-
-    def get_params(self, ctx: Any) -> Any:  # noqa: ANN401 - typer's own copy of click
-        """Return the parameters of the group itself."""
-        return _without_flag_types(super().get_params(ctx))
 
     def resolve_command(self, *args: Any) -> tuple[Any, Any, list[str]]:  # noqa: ANN401
         """Find the command that is called and build its options; see typer."""
@@ -127,14 +188,16 @@ class CommandGroup(TyperGroup):
         return name, self.full_command(name), rest
 
     def full_command(self, name: str) -> Any:  # noqa: ANN401 - typer's own copy of click
-        """Build a command with its options."""
+        """Import a command and build its options."""
         app = typer.Typer(add_completion=False, rich_markup_mode=MARKUP)
-        function, epilog = self.functions[name], self.epilogs.get(name)
-        app.command(name, cls=_Command, help=help_text(function), epilog=epilog)(function)
+        module = import_module(_MODULES[name])
+        function = getattr(module, _function_name(name))
+        epilog = EXIT_CODES_HELP if name in _WITH_EXIT_CODES else None
+        app.command(name, cls=_Command, help=help_text(name), epilog=epilog)(function)
         command: Any = typer.main.get_command(app)
-        command.optional_values = self.optional_values.get(name, {})
+        command.optional_values = getattr(module, "OPTIONAL_VALUES", {})
         command.number_options = _number_options(function, command.params)
-        panels = self.option_panels.get(name, {})
+        panels = _OPTION_PANELS.get(name, {})
         by_parameter = {each: panel for panel, names in panels.items() for each in names}
         for parameter in command.params:
             if parameter.name in by_parameter:
@@ -160,62 +223,9 @@ def _number_options(function: Callable[..., None], parameters: list[Any]) -> fro
     return frozenset(option for each in options for option in each)
 
 
-class _Commands(CommandGroup):
-    panels = {
-        "Fly": {
-            "run": run_command,
-            "validate": validate_command,
-            "list": list_command,
-            "law": law_command,
-            "margins": margins_command,
-            "network": network_command,
-            "air": air_command,
-            "schema": schema_command,
-        },
-        "Look": {
-            "view": view_command,
-            "shot": shot_command,
-            "video": video_command,
-            "report": report_command,
-            "compare": compare_command,
-            "export": export_command,
-            "recover": recover_command,
-            "prune": prune_command,
-        },
-        "Study": {
-            "sweep": sweep_command,
-            "study-report": study_report_command,
-            "tune": tune_command,
-        },
-        "Aircraft": {
-            "trim": trim_command,
-            "linearize": linearize_command,
-            "step": step_command,
-            "respond": respond_command,
-            "import": import_command,
-            "arduplane": arduplane_command,
-        },
-        "CI": {
-            "check": check_command,
-        },
-    }
-    option_panels = {
-        "run": {
-            "Scenario": ("overrides", "seed", "duration"),
-            "Output": ("out", "json", "quiet"),
-            "View": ("view", "host", "follow", "rrd"),
-        }
-    }
-    optional_values = {"run": {"--view": tuple(ViewChoice)}}
-    epilogs = dict.fromkeys(
-        ("run", "view", "shot", "check", "compare", "sweep", "tune", "respond", "arduplane"),
-        EXIT_CODES_HELP,
-    )
-
-
 app = typer.Typer(
     name="testbed",
-    cls=_Commands,
+    cls=CommandGroup,
     help="Simulate formations of fixed-wing aircraft: JSBSim flight models with ArduPlane "
     "autopilots, communication and wind.",
     epilog=EXIT_CODES_HELP,
@@ -250,9 +260,6 @@ def _main(
 
 def main() -> None:
     """Run the command line and exit with the code of its ending."""
-    thresholds = gc.get_threshold()
-    # imported modules are never garbage: collecting less often saves a tenth of a run's start
-    gc.set_threshold(100_000, 20, 50)
     guard_standard_streams()
     try:
         with count_sigint():
@@ -274,5 +281,3 @@ def main() -> None:
         traceback.print_exc()
         typer.echo("internal error: this is a defect of testbed, not of your input", err=True)
         sys.exit(ExitCode.INTERNAL_ERROR)
-    finally:
-        gc.set_threshold(*thresholds)

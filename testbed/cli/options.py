@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -26,32 +27,19 @@ if TYPE_CHECKING:
 _MAX_DEPTH = 6  # sections in each other
 
 
-def scenario_names(incomplete: str) -> list[str]:
-    """Return the names of scenarios that begin like this."""
-    from testbed.scenario import list_scenarios
+def _complete(list_names: str) -> Callable[[str], list[str]]:
+    """Make a completion by the names that a function of testbed.scenario lists."""
 
-    return _beginning(incomplete, list_scenarios())
+    def complete(incomplete: str) -> list[str]:
+        return _beginning(incomplete, getattr(import_module("testbed.scenario"), list_names)())
 
-
-def study_names(incomplete: str) -> list[str]:
-    """Return the names of studies that begin like this."""
-    from testbed.scenario import list_studies
-
-    return _beginning(incomplete, list_studies())
+    return complete
 
 
-def tune_names(incomplete: str) -> list[str]:
-    """Return the names of tuning files that begin like this."""
-    from testbed.scenario import list_tunings
-
-    return _beginning(incomplete, list_tunings())
-
-
-def aircraft_names(incomplete: str) -> list[str]:
-    """Return the names of airframes that begin like this."""
-    from testbed.scenario import list_aircraft
-
-    return _beginning(incomplete, list_aircraft())
+scenario_names = _complete("list_scenarios")
+study_names = _complete("list_studies")
+tune_names = _complete("list_tunings")
+aircraft_names = _complete("list_aircraft")
 
 
 def run_names(incomplete: str) -> list[str]:
@@ -138,6 +126,16 @@ def require_positive(parameter: typer.CallbackParam, value: float | None) -> flo
     return value
 
 
+def finite_option(metavar: str, help: str, *names: str) -> Any:  # noqa: ANN401 - typer's own
+    """Declare an option for a finite number; without names it has that of the parameter."""
+    return typer.Option(*names, metavar=metavar, help=help, callback=require_finite)
+
+
+def positive_option(metavar: str, help: str, *names: str) -> Any:  # noqa: ANN401 - typer's own
+    """Declare an option for a number above 0; without names it has that of the parameter."""
+    return typer.Option(*names, metavar=metavar, help=help, callback=require_positive)
+
+
 def output_option(
     *names: str, metavar: str = "FILE", help: str, suffixes: tuple[str, ...] = ()
 ) -> Any:  # noqa: ANN401 - typer's own
@@ -198,11 +196,7 @@ Overrides = Annotated[
 Seed = Annotated[int | None, typer.Option(metavar="N", help="Seed of every random stream.")]
 Jobs = Annotated[
     int | None,
-    typer.Option(
-        metavar="N",
-        help="Flights at the same time.  \\[default: one per processor]",
-        callback=require_positive,
-    ),
+    positive_option("N", "Flights at the same time.  \\[default: one per processor]"),
 ]
 JsonFile = Annotated[
     Path | None,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from testbed.cli.options import RunName, output_option, require_finite
+from testbed.cli.options import RunName, finite_option, output_option
 from testbed.cli.output import (
     PipeSafeConsole,
     check_output_folder,
@@ -52,16 +52,10 @@ def report_command(
     run: RunName,
     out: ReportFile = None,
     begin: Annotated[
-        float | None,
-        typer.Option(
-            "--from", metavar="S", help="Draw nothing earlier in figures.", callback=require_finite
-        ),
+        float | None, finite_option("S", "Draw nothing earlier in figures.", "--from")
     ] = None,
     end: Annotated[
-        float | None,
-        typer.Option(
-            "--to", metavar="S", help="Draw nothing later in figures.", callback=require_finite
-        ),
+        float | None, finite_option("S", "Draw nothing later in figures.", "--to")
     ] = None,
     figures: Figures = None,
     format: FigureFormat = None,

@@ -24,7 +24,7 @@ from testbed.cli.options import (
     error_places,
     load_scenario,
     output_option,
-    require_positive,
+    positive_option,
 )
 from testbed.cli.output import format_size, message_console, result_console, write_json_output
 from testbed.cli.view import (
@@ -54,17 +54,16 @@ class ViewChoice(StrEnum):
     WEB = "web"
 
 
+# Options that may stand without a value: their values, the first of which is meant then.
+OPTIONAL_VALUES = {"--view": tuple(ViewChoice)}
+
+
 def run_command(
     scenario: ScenarioName,
     overrides: Overrides = None,
     seed: Seed = None,
     duration: Annotated[
-        float | None,
-        typer.Option(
-            metavar="SECONDS",
-            help="Simulated time, instead of the scenario's.",
-            callback=require_positive,
-        ),
+        float | None, positive_option("SECONDS", "Simulated time, instead of the scenario's.")
     ] = None,
     out: Annotated[
         Path | None,
@@ -91,11 +90,10 @@ def run_command(
     start_time: StartTime = None,
     processes: Annotated[
         int | None,
-        typer.Option(
-            metavar="N",
-            help="Processes for the flight models; results do not depend on it.  \\[default: 1, "
+        positive_option(
+            "N",
+            "Processes for the flight models; results do not depend on it.  \\[default: 1, "
             "more from 20 aircraft on]",
-            callback=require_positive,
         ),
     ] = None,
     mavlink: Annotated[

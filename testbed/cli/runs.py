@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.table import Table
 
-from testbed.cli.options import require_positive
+from testbed.cli.options import positive_option
 from testbed.cli.output import MISSING, PipeSafeConsole, result_console
 from testbed.core.errors import InputError
 from testbed.core.files import format_bytes
@@ -71,11 +71,10 @@ def prune_command(
     ] = None,
     keep: Annotated[
         int | None,
-        typer.Option(
-            metavar="N",
-            help="Keep the newest N runs of each scenario; without --older and --size, delete "
+        positive_option(
+            "N",
+            "Keep the newest N runs of each scenario; without --older and --size, delete "
             "all others.",
-            callback=require_positive,
         ),
     ] = None,
     yes: Annotated[

@@ -11,10 +11,10 @@ from testbed.cli.options import (
     Follow,
     RunName,
     check_follow,
+    finite_option,
     output_option,
     parse_pixels,
-    require_finite,
-    require_positive,
+    positive_option,
 )
 from testbed.cli.output import describe_file, is_stdout, message_console
 from testbed.cli.progress import progress_counter
@@ -48,28 +48,18 @@ def video_command(
     ],
     begin: Annotated[
         float | None,
-        typer.Option(
-            "--from",
-            metavar="SECONDS",
-            help="Time of the run at which it begins.  \\[default: the start]",
-            callback=require_finite,
+        finite_option(
+            "SECONDS", "Time of the run at which it begins.  \\[default: the start]", "--from"
         ),
     ] = None,
     end: Annotated[
         float | None,
-        typer.Option(
-            "--to",
-            metavar="SECONDS",
-            help="Time of the run at which it ends.  \\[default: the end]",
-            callback=require_finite,
-        ),
+        finite_option("SECONDS", "Time of the run at which it ends.  \\[default: the end]", "--to"),
     ] = None,
     speed: Annotated[
         float | None,
-        typer.Option(
-            metavar="X",
-            help="Seconds of the run per second.  \\[default: 1, or more for a video of 30 s]",
-            callback=require_positive,
+        positive_option(
+            "X", "Seconds of the run per second.  \\[default: 1, or more for a video of 30 s]"
         ),
     ] = None,
     follow: Follow = None,

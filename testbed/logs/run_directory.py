@@ -106,6 +106,9 @@ def list_run_names(logs: Path = LOGS, scenario: str = "") -> list[str]:
 
 
 def _create_or_use(out: Path) -> Path:
+    if out.is_file():
+        text = "cannot make the run directory: it is a file; name another one"
+        raise LogError(f"out: {out}: {text}")
     try:
         out.mkdir(parents=True, exist_ok=True)
         occupied = any(out.iterdir())

@@ -1,91 +1,43 @@
 """Scenario files: read, check and resolve them to an immutable `Scenario`."""
 
-from testbed.scenario.expect import unchecked
-from testbed.scenario.load import (
-    ScenarioFile,
-    dump,
-    dump_middle_loop,
-    find_places,
-    load_guidance,
-    load_middle_loop,
-    load_scenario,
-    loads,
-    middle_loop_gains,
-    open_scenario,
-    place_of_key,
-)
-from testbed.scenario.middle_loop import MiddleLoopGains
-from testbed.scenario.problems import FilePosition, Problem, ScenarioError
-from testbed.scenario.references import (
-    code_references,
-    find_aircraft,
-    find_code,
-    find_data,
-    find_scenario,
-    find_study,
-    find_tune,
-    find_tuning,
-    library,
-    list_aircraft,
-    list_data,
-    list_scenarios,
-    list_studies,
-    list_tunings,
-    resolve_single_aircraft,
-    with_values,
-)
-from testbed.scenario.schema import (
-    SCHEMA_VERSION,
-    Scenario,
-    cut_windows,
-    describe_unreached,
-    json_schema,
-    set_duration,
-    set_seed,
-    unreached_windows,
-)
-from testbed.scenario.single_aircraft import SingleAircraft
-
-__all__ = [
-    "SCHEMA_VERSION",
-    "MiddleLoopGains",
-    "FilePosition",
-    "Problem",
-    "Scenario",
-    "ScenarioError",
-    "ScenarioFile",
-    "SingleAircraft",
-    "code_references",
-    "cut_windows",
-    "describe_unreached",
-    "dump",
-    "dump_middle_loop",
-    "find_aircraft",
-    "find_code",
-    "find_data",
-    "find_places",
-    "find_scenario",
-    "find_study",
-    "find_tune",
-    "find_tuning",
-    "json_schema",
-    "library",
-    "list_aircraft",
-    "list_data",
-    "list_scenarios",
-    "list_studies",
-    "list_tunings",
-    "load_scenario",
-    "load_guidance",
-    "load_middle_loop",
-    "loads",
-    "middle_loop_gains",
-    "open_scenario",
-    "place_of_key",
-    "resolve_single_aircraft",
-    "set_duration",
-    "set_seed",
-    "unchecked",
-    "unreached_windows",
-    "with_values",
-]
+from testbed.scenario.expect import unchecked as unchecked
+from testbed.scenario.load import ScenarioFile as ScenarioFile
+from testbed.scenario.load import dump as dump
+from testbed.scenario.load import dump_middle_loop as dump_middle_loop
+from testbed.scenario.load import find_places as find_places
+from testbed.scenario.load import load_guidance as load_guidance
+from testbed.scenario.load import load_middle_loop as load_middle_loop
+from testbed.scenario.load import load_scenario as load_scenario
+from testbed.scenario.load import loads as loads
+from testbed.scenario.load import middle_loop_gains as middle_loop_gains
+from testbed.scenario.load import open_scenario as open_scenario
+from testbed.scenario.load import place_of_key as place_of_key
+from testbed.scenario.middle_loop import MiddleLoopGains as MiddleLoopGains
+from testbed.scenario.problems import FilePosition as FilePosition
+from testbed.scenario.problems import Problem as Problem
+from testbed.scenario.problems import ScenarioError as ScenarioError
+from testbed.scenario.references import code_references as code_references
+from testbed.scenario.references import find_aircraft as find_aircraft
+from testbed.scenario.references import find_code as find_code
+from testbed.scenario.references import find_data as find_data
+from testbed.scenario.references import find_scenario as find_scenario
+from testbed.scenario.references import find_study as find_study
+from testbed.scenario.references import find_tune as find_tune
+from testbed.scenario.references import find_tuning as find_tuning
+from testbed.scenario.references import library as library
+from testbed.scenario.references import list_aircraft as list_aircraft
+from testbed.scenario.references import list_data as list_data
+from testbed.scenario.references import list_scenarios as list_scenarios
+from testbed.scenario.references import list_studies as list_studies
+from testbed.scenario.references import list_tunings as list_tunings
+from testbed.scenario.references import resolve_single_aircraft as resolve_single_aircraft
+from testbed.scenario.references import with_values as with_values
+from testbed.scenario.schema import SCHEMA_VERSION as SCHEMA_VERSION
+from testbed.scenario.schema import Scenario as Scenario
+from testbed.scenario.schema import cut_windows as cut_windows
+from testbed.scenario.schema import describe_unreached as describe_unreached
+from testbed.scenario.schema import json_schema as json_schema
+from testbed.scenario.schema import set_duration as set_duration
+from testbed.scenario.schema import set_seed as set_seed
+from testbed.scenario.schema import unreached_windows as unreached_windows
+from testbed.scenario.single_aircraft import SingleAircraft as SingleAircraft

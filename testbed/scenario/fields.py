@@ -4,7 +4,7 @@ Modules with sections leave out `from __future__ import annotations`: pydantic w
 evaluate each annotation from its text at every start.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Annotated, Any
 
 from pydantic import (
@@ -114,6 +114,18 @@ ZeroOrUsable = AfterValidator(_zero_or_usable)
 def is_number(value: object) -> bool:
     """Return whether a value is a number; true and false are none."""
     return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def merge_maps(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a map with changes: maps in it merge key by key, other values replace."""
+    merged = dict(base)
+    for key, value in changes.items():
+        below = merged.get(key)
+        if isinstance(below, Mapping) and isinstance(value, Mapping):
+            merged[key] = {**below, **value}
+        else:
+            merged[key] = value
+    return merged
 
 
 def _per_direction(value: Any) -> Any:  # noqa: ANN401 - any YAML value

@@ -12,7 +12,7 @@ from pathlib import Path
 from testbed.core.numbers import parse_whole
 from testbed.scenario import references
 from testbed.scenario.arguments import check_overrides, check_path, with_changes
-from testbed.scenario.fields import KeyPath
+from testbed.scenario.fields import KeyPath, merge_maps
 from testbed.scenario.middle_loop import GainChanges, Guidance, MiddleLoopFile, MiddleLoopGains
 from testbed.scenario.pattern import drop_follower_keys, expand_pattern, is_pattern_key
 from testbed.scenario.problems import (
@@ -159,13 +159,7 @@ def load_middle_loop(
         gains = profiles[profile]
         if not changes:
             return gains
-        data = gains.model_dump(mode="json")
-        for key, value in changes.items():
-            inner = data.get(key)
-            if isinstance(value, Mapping) and isinstance(inner, dict):
-                data[key] = {**inner, **value}
-            else:
-                data[key] = value
+        data = merge_maps(gains.model_dump(mode="json"), changes)
         return validate(plant(data, CHANGES), MiddleLoopGains)
     hint = did_you_mean(profile, profiles)
     known = ", ".join(profiles)
@@ -381,9 +375,9 @@ class Setting:
     value: Node
 
     @property
-    def source(self) -> str:
-        """Return what stands for the name of a file in errors."""
-        return f"--set {self.text}"
+    def place(self) -> FilePosition:
+        """Return what stands for a place in a file in errors."""
+        return FilePosition(f"--set {self.text}")
 
     @property
     def tree(self) -> Node:
@@ -404,13 +398,15 @@ def parse_setting(text: str) -> Setting:
     keys = tuple(key.strip().split("."))
     source = f"--set {text}"
     if not text.isprintable() and any("\ud800" <= each <= "\udfff" for each in text):
-        raise _error(source, (), "is not UTF-8 text (write it in UTF-8)")
+        raise error_at(FilePosition(source), "is not UTF-8 text (write it in UTF-8)")
     if not equals or not all(keys):
-        raise _error(source, (), "is not key.path=value (write for example rates.log_hz=50)")
+        raise error_at(
+            FilePosition(source), "is not key.path=value (write for example rates.log_hz=50)"
+        )
     try:
         node = parse(value, source, Path.cwd())
     except ScenarioError as error:
-        raise _error(source, keys, error.problems[0].text) from None
+        raise error_at(FilePosition(source), error.problems[0].text, keys) from None
     return Setting(text, keys, _placed(node, FilePosition(source)))
 
 
@@ -434,7 +430,7 @@ def _placed(node: Node, place: FilePosition) -> Node:
         value = {name: _placed(child, place) for name, child in value.items()}
     elif isinstance(value, tuple):
         value = tuple(_placed(child, place) for child in value)
-    return Node(value, place, place, node.folder)
+    return Node(value, place, place, node.folder, node.text)
 
 
 def _set_value(node: Node, keys: tuple[str, ...], done: tuple[str, ...], setting: Setting) -> Node:
@@ -458,7 +454,7 @@ def _set_value(node: Node, keys: tuple[str, ...], done: tuple[str, ...], setting
             else:
                 named[name] = _set_value(child, rest, (*done, name), setting)
         return replace(node, value=named)
-    raise _error(setting.source, done, f"is {node.value!r}, which has no {key!r} inside")
+    raise error_at(setting.place, f"is {node.value!r}, which has no {key!r} inside", done)
 
 
 def _names(
@@ -469,7 +465,7 @@ def _names(
     if done[:2] == _LINKS and len(done) < len(_LINKS) + 2:
         return tuple(dict.fromkeys((*named, "*")))
     if not named:
-        raise _error(setting.source, done, "is empty: * stands for nothing")
+        raise error_at(setting.place, "is empty: * stands for nothing", done)
     return tuple(named)
 
 
@@ -489,13 +485,9 @@ def _indices(
         return (names.index(key),)
     known = [name for name in names if isinstance(name, str)]
     indices = f"0 to {len(items) - 1}" if items else "nothing: it is empty"
-    raise _error(
-        setting.source,
-        done,
+    raise error_at(
+        setting.place,
         f"has no element {key!r}{did_you_mean(key, known)} (it has "
         f"{', '.join([indices, *known])}; * is all of them)",
+        done,
     )
-
-
-def _error(source: str, path: tuple[str, ...], text: str) -> ScenarioError:
-    return ScenarioError([Problem(FilePosition(source), text, path)])

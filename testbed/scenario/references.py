@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,14 +22,10 @@ from testbed.scenario.network_checks import link_entries
 from testbed.scenario.problems import FilePosition, Problem, ScenarioError, did_you_mean
 from testbed.scenario.schema import Scenario
 from testbed.scenario.single_aircraft import SingleAircraft
-from testbed.scenario.yaml_io import Node, walk
+from testbed.scenario.yaml_io import Node, error_at, walk
 
-_SCENARIOS = Path("scenarios")
-_STUDIES = _SCENARIOS / "studies"
-_TUNINGS = _STUDIES / "tunes"
-_DATA = _SCENARIOS / "data"
+_DATA = Path("scenarios/data")
 _YAML, _PARAM = ".yaml", ".param"
-_YAML_FILE = "a .yaml file"
 _PACKAGE = Path(__file__).resolve().parent.parent
 
 
@@ -46,54 +43,38 @@ def list_aircraft() -> tuple[str, ...]:
     return tuple(sorted(f.name for f in folder.glob("*") if (f / f"{f.name}.xml").is_file()))
 
 
-def list_scenarios() -> tuple[str, ...]:
-    """Return the names of the scenarios that come with the testbed, sorted."""
-    return _stems(library() / _SCENARIOS, _YAML)
+@dataclass(frozen=True, slots=True)
+class _YamlFiles:
+    """YAML files of one kind in a folder of the library, which are named without their ending."""
+
+    kind: str
+    folder: Path
+
+    def list(self) -> tuple[str, ...]:
+        """Return the names of those that come with the testbed, sorted."""
+        return _stems(library() / self.folder, _YAML)
+
+    def find(self, name_or_path: str | Path, *, folder: Path | None = None) -> Path:
+        """Return the file of a name or path (from `folder`, or here).
+
+        Raises:
+            ScenarioError: there is no such file.
+        """
+        own = library() / self.folder / f"{name_or_path}{_YAML}"
+        return _find(self.kind, name_or_path, own, self.list, "a .yaml file", folder)
 
 
-def list_studies() -> tuple[str, ...]:
-    """Return the names of the studies that come with the testbed, sorted."""
-    return _stems(library() / _STUDIES, _YAML)
-
-
-def list_tunings() -> tuple[str, ...]:
-    """Return the names of the tunes that come with the testbed, sorted."""
-    return _stems(library() / _TUNINGS, _YAML)
+_SCENARIOS = _YamlFiles("scenario", Path("scenarios"))
+_STUDIES = _YamlFiles("study", Path("scenarios/studies"))
+_TUNINGS = _YamlFiles("tune", Path("scenarios/studies/tunes"))
+list_scenarios, find_scenario = _SCENARIOS.list, _SCENARIOS.find
+list_studies, find_study = _STUDIES.list, _STUDIES.find
+list_tunings, find_tuning = _TUNINGS.list, _TUNINGS.find
 
 
 def list_data() -> tuple[str, ...]:
     """Return the names of the data files that scenarios use, sorted."""
     return tuple(sorted(f.name for f in (library() / _DATA).glob("*.csv")))
-
-
-def find_scenario(name_or_path: str | Path, *, folder: Path | None = None) -> Path:
-    """Return the file of a scenario, by name or path (from `folder`, or here).
-
-    Raises:
-        ScenarioError: there is no such file.
-    """
-    own = library() / _SCENARIOS / f"{name_or_path}{_YAML}"
-    return _find("scenario", name_or_path, own, list_scenarios, _YAML_FILE, folder)
-
-
-def find_study(name_or_path: str | Path) -> Path:
-    """Return the file of a study, by name or path.
-
-    Raises:
-        ScenarioError: there is no such file.
-    """
-    own = library() / _STUDIES / f"{name_or_path}{_YAML}"
-    return _find("study", name_or_path, own, list_studies, _YAML_FILE)
-
-
-def find_tuning(name_or_path: str | Path) -> Path:
-    """Return the file of a tune, by name or path.
-
-    Raises:
-        ScenarioError: there is no such file.
-    """
-    own = library() / _TUNINGS / f"{name_or_path}{_YAML}"
-    return _find("tune", name_or_path, own, list_tunings, _YAML_FILE)
 
 
 def find_aircraft(name_or_path: str | Path, *, folder: Path | None = None) -> Path:
@@ -109,7 +90,7 @@ def find_aircraft(name_or_path: str | Path, *, folder: Path | None = None) -> Pa
         return path
     if _exists(path, Path.is_dir):
         text = f"{path} has no {path.name}.xml (write a folder with a model of its name)"
-        raise ScenarioError([Problem(FilePosition(str(path)), text)])
+        raise error_at(FilePosition(str(path)), text)
     raise _not_found("aircraft", text, list_aircraft(), "a folder with a JSBSim model", path)
 
 
@@ -153,7 +134,7 @@ def find_code(name: str, *, folder: Path | None = None, within: Path | None = No
         path = absolute(module, folder)
         if not is_file(path):
             text = f"there is no file {path} (write module:name, with module.py in this folder)"
-            raise ScenarioError([Problem(FilePosition(str(path)), text)])
+            raise error_at(FilePosition(str(path)), text)
         _refuse_outside(path, within)
         return f"{path}:{object_name}"
     file = f"{module.replace('.', '/')}.py"
@@ -170,7 +151,7 @@ def find_code(name: str, *, folder: Path | None = None, within: Path | None = No
 def _refuse_outside(path: Path, folder: Path | None) -> None:
     if folder is not None and not path.is_relative_to(folder.resolve()):
         text = f"{path} is not in the folder of the file that names it, {folder} (put a copy there)"
-        raise ScenarioError([Problem(FilePosition(str(path)), text)])
+        raise error_at(FilePosition(str(path)), text)
 
 
 def _find(
@@ -236,7 +217,7 @@ def _not_found(
             f"there is no {what} {text!r}{did_you_mean(text, known)} (write one of: {names}; or "
             f"the path of {path_of}, relative to {looked_at.parent})"
         )
-    return ScenarioError([Problem(FilePosition(text), message)])
+    return error_at(FilePosition(text), message)
 
 
 def aircraft_reference(folder: Path) -> str:
@@ -251,7 +232,7 @@ def tune_reference(aircraft: Path, tune: Path) -> str:
 
 def data_reference(file: Path) -> str:
     """Return the name of a data file of the library, or the path of another."""
-    return file.name if file == library() / "scenarios" / "data" / file.name else str(file)
+    return file.name if file == library() / _DATA / file.name else str(file)
 
 
 _GAINS = "middle_loop.yaml"
@@ -267,67 +248,49 @@ class _Resolver:
 
     def aircraft(self, loc: KeyPath, aircraft: Leader | Follower) -> None:
         """Resolve the airframe and the autopilot parameters."""
-        folder = self.folder(*loc, "aircraft")
-        try:
+        with self.problems_at(*loc, "aircraft") as folder:
             home = find_aircraft(aircraft.aircraft, folder=folder)
-        except ScenarioError as error:
-            self.add(error, *loc, "aircraft")
-            return
-        self.changes.append(((*loc, "aircraft"), aircraft_reference(home)))
-        folder = self.folder(*loc, "tune")
-        try:
-            tune = find_tune(home, aircraft.tune, folder=folder)
-        except ScenarioError as error:
-            self.add(error, *loc, "tune")
-            return
-        self.changes.append(((*loc, "tune"), tune_reference(home, tune)))
+            self.changes.append(((*loc, "aircraft"), aircraft_reference(home)))
+            with self.problems_at(*loc, "tune") as folder:
+                tune = find_tune(home, aircraft.tune, folder=folder)
+                self.changes.append(((*loc, "tune"), tune_reference(home, tune)))
 
     def recording(self, loc: KeyPath, file: str) -> None:
         """Resolve a data file."""
-        try:
-            found = find_data(file, folder=self.folder(*loc))
-        except ScenarioError as error:
-            self.add(error, *loc)
-            return
-        self.changes.append((loc, data_reference(found)))
+        with self.problems_at(*loc) as folder:
+            found = find_data(file, folder=folder)
+            self.changes.append((loc, data_reference(found)))
 
     def gains(self, loc: KeyPath, file: str) -> None:
         """Resolve a file of gains."""
-        found = absolute(file, self.folder(*loc))
-        if is_file(found):
+        with self.problems_at(*loc) as folder:
+            found = absolute(file, folder)
+            if not is_file(found):
+                text = f"there is no file {found} (write the path of a file like an airframe's "
+                raise error_at(FilePosition(str(found)), f"{text}{_GAINS})")
             self.changes.append((loc, str(found)))
-            return
-        node, path, left = walk(self.tree, loc)
-        text = f"there is no file {found} (write the path of a file like an airframe's {_GAINS})"
-        self.problems.append(Problem(node.place, text, path + left))
 
     def code(self, loc: KeyPath, name: str) -> None:
         """Resolve a user's own law or function."""
-        try:
-            folder = self.folder(*loc)
+        with self.problems_at(*loc) as folder:
             # in a text or a setting, unlike in a file, the caller chooses the code
             in_file = is_file(Path(walk(self.tree, loc)[0].place.source))
-            found = find_code(
-                name, folder=folder, within=folder if in_file else self._settings_folder
-            )
-        except ScenarioError as error:
-            self.add(error, *loc)
-            return
-        file, _, object_name = found.rpartition(":")
-        if Path(file).parent == library() / "scenarios":
-            found = f"{Path(file).stem}:{object_name}"
-        self.changes.append((loc, found))
+            within = folder if in_file else self._settings_folder
+            found = find_code(name, folder=folder, within=within)
+            file, _, object_name = found.rpartition(":")
+            if Path(file).parent == library() / "scenarios":
+                found = f"{Path(file).stem}:{object_name}"
+            self.changes.append((loc, found))
 
-    def folder(self, *loc: str | int) -> Path:
-        """Return the base of a relative path at this location."""
-        return walk(self.tree, loc)[0].folder
-
-    def add(self, error: ScenarioError, *loc: str | int) -> None:
-        """Add the problems of an error, at the place of the reference."""
+    @contextmanager
+    def problems_at(self, *loc: str | int) -> Iterator[Path]:
+        """Yield the base of relative paths at a location, the place of the block's problems."""
         node, path, left = walk(self.tree, loc)
-        self.problems += [
-            Problem(node.place, problem.text, path + left) for problem in error.problems
-        ]
+        try:
+            yield node.folder
+        except ScenarioError as error:
+            texts = (problem.text for problem in error.problems)
+            self.problems += [Problem(node.place, text, path + left) for text in texts]
 
 
 def resolve_references(

@@ -28,6 +28,7 @@ from testbed.scenario.fields import (
     Section,
     Speed,
     ZeroOrUsable,
+    merge_maps,
 )
 from testbed.scenario.problems import did_you_mean
 
@@ -337,7 +338,7 @@ class Sensors(Section):
         except PydanticCustomError as error:
             detail = InitErrorDetails(type=error, loc=("preset",), input=value["preset"])
             raise ValidationError.from_exception_data("Sensors", [detail]) from None
-        return _merge_preset(preset, {key: value[key] for key in value if key != "preset"})
+        return merge_maps(preset, {key: value[key] for key in value if key != "preset"})
 
     @model_serializer(mode="wrap")
     def _truth_by_name(self, handler: Any) -> Any:  # noqa: ANN401 - pydantic's protocol
@@ -352,18 +353,6 @@ class Sensors(Section):
         preset = {"enum": list(PRESETS), "description": "Preset that the map changes."}
         schema["properties"] = {"preset": preset, **schema["properties"]}
         return {"anyOf": [{"enum": list(PRESETS)}, schema]}
-
-
-def _merge_preset(preset: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a preset with changes: maps merge key by key, other values replace."""
-    merged = dict(preset)
-    for key, value in changes.items():
-        below = merged.get(key)
-        if isinstance(below, Mapping) and isinstance(value, Mapping):
-            merged[key] = {**below, **value}
-        else:
-            merged[key] = value
-    return merged
 
 
 def _preset(name: Any, more: str = "") -> Mapping[str, Any]:  # noqa: ANN401 - any YAML value

@@ -154,7 +154,8 @@ def _one(detail: Mapping[str, Any], tree: Node, schema: dict[str, Any]) -> Probl
         advice = _advice(node, kind, about) or _write(_TYPES[kind], about)
         shown = _shown(node)
         if kind == "int_type" and isinstance(node.value, float) and node.value.is_integer():
-            shown, advice = repr(node.value), _write(f"{node.value:.0f}, a whole number", about)
+            shown = node.text or repr(node.value)
+            advice = _write(f"{node.value:.0f}, a whole number", about)
         # of a whole file, which may be no scenario at all, nothing is quoted
         text = f"is {shown if path else _kind(node)}{advice}"
     elif kind in _BOUNDS:

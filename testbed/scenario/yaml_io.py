@@ -11,7 +11,7 @@ import json
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -182,7 +182,8 @@ class _Builder:
         else:
             self.refuse_tag(node, "tag:yaml.org,2002:map")
             value = self.map(node, depth)
-        return Node(value, place, self.place(key) if key else place, self.folder)
+        text = node.value if isinstance(node, yaml.ScalarNode) else ""
+        return Node(value, place, self.place(key) if key else place, self.folder, text)
 
     def map(self, node: yaml.Node, depth: int) -> dict[str, Node]:
         children: dict[str, Node] = {}
@@ -238,6 +239,7 @@ class Node:
     place: FilePosition  # of the value
     key: FilePosition  # of the key that names it; in a list, of the value
     folder: Path  # base of relative paths in the value
+    text: str = field(default="", compare=False)  # of a scalar, as the file has it
 
 
 # Maps that differ in one of these keys do not merge.

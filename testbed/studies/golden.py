@@ -22,6 +22,7 @@ from testbed.studies.golden_compare import (
 from testbed.studies.golden_table import (
     MIN_BAND_VALUES,
     GoldenTable,
+    is_table,
     make_table,
     read_table,
     table_numbers,
@@ -138,6 +139,11 @@ def _find_case(name: str, folder: Path | None, new: bool, overrides: tuple[str, 
     except InputError as error:
         if not new:
             raise InputError(f"{error} (write a new one with --update --reason TEXT)") from None
+        if not is_table(path):
+            raise InputError(
+                f"{path}: is no golden table, so --update does not replace it (move it, or name "
+                "another folder with --golden)"
+            ) from None
         return GoldenCase(name, source, scenario, path, None, table_error=str(error))
 
 
@@ -164,9 +170,7 @@ def check(
         _choose_seeds(table.seeds, seeds or min(CHECKED_SEEDS, len(table.seeds)))
         for table in tables
     ]
-    wanted = [(case.scenario, s) for case, own in zip(cases, chosen, strict=True) for s in own]
-    results = iter(fly_all(wanted, jobs=jobs, progress=progress, report=report))
-    flights = [[next(results) for _ in own] for own in chosen]
+    flights = _fly_seeds(cases, chosen, jobs, progress, report)
     return [
         _compare(case, table, own) for case, table, own in zip(cases, tables, flights, strict=True)
     ]
@@ -217,27 +221,34 @@ def update_tables(
     count = seeds or RANDOM_SEEDS
     if count < MIN_BAND_VALUES:
         raise InputError(f"--seeds {count}: a table needs {MIN_BAND_VALUES} or more")
-    first = [case.scenario.scenario.seed for case in cases]
-    wanted = [
-        (case.scenario, seed + k)
-        for case, seed in zip(cases, first, strict=True)
-        for k in range(DETERMINISTIC_SEEDS)
-    ]
-    results = iter(fly_all(wanted, jobs=jobs, progress=progress, report=report))
-    flights = [[next(results) for _ in range(DETERMINISTIC_SEEDS)] for _ in cases]
+    seeds_from = [case.scenario.scenario.seed for case in cases]
+    first = [range(seed, seed + DETERMINISTIC_SEEDS) for seed in seeds_from]
+    flights = _fly_seeds(cases, first, jobs, progress, report)
     random = [_depends_on_seed(own) for own in flights]
-    wanted = [
-        (case.scenario, seed + k)
-        for case, seed, is_random in zip(cases, first, random, strict=True)
-        for k in range(DETERMINISTIC_SEEDS, count if is_random else DETERMINISTIC_SEEDS)
+    rest = [
+        range(seed + DETERMINISTIC_SEEDS, seed + (count if is_random else DETERMINISTIC_SEEDS))
+        for seed, is_random in zip(seeds_from, random, strict=True)
     ]
-    results = iter(fly_all(wanted, jobs=jobs, progress=progress, report=report))
-    for own, is_random in zip(flights, random, strict=True):
-        own += [next(results) for _ in range(count - DETERMINISTIC_SEEDS)] if is_random else []
+    others = _fly_seeds(cases, rest, jobs, progress, report)
+    for own, more in zip(flights, others, strict=True):
+        own += more
     return [
         _update_table(case, own, is_random, reason)
         for case, own, is_random in zip(cases, flights, random, strict=True)
     ]
+
+
+def _fly_seeds(
+    cases: Sequence[GoldenCase],
+    seeds: Sequence[Sequence[int]],
+    jobs: int,
+    progress: Progress,
+    report: Report,
+) -> list[list[GoldenFlight]]:
+    """Fly each case with its own seeds, all at the same time."""
+    wanted = [(case.scenario, s) for case, own in zip(cases, seeds, strict=True) for s in own]
+    results = iter(fly_all(wanted, jobs=jobs, progress=progress, report=report))
+    return [[next(results) for _ in own] for own in seeds]
 
 
 def _depends_on_seed(flights: Sequence[GoldenFlight]) -> bool:

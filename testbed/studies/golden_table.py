@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import statistics
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -21,6 +22,8 @@ from testbed.studies.scenario_snapshot import Inputs, key_digests
 SCHEMA: Literal[3] = 3  # raised when a key is renamed, removed or changes its meaning
 MAX_GOLDEN_BYTES = 10_000_000
 DECIMALS = 8  # of the numbers in a table
+# how the text of a table begins, of any version, also one that is damaged
+_TABLE = re.compile(rb'\s*\{\s*"schema":\s*\d+\s*(?:\}|,\s*"scenario":\s*"[^"]*",\s*"reason":)')
 MIN_BAND_VALUES = 3  # with two, a band is wider than the numbers it bounds
 
 
@@ -260,6 +263,15 @@ def read_table(path: Path) -> GoldenTable:
             ) from None
         where = ".".join(map(str, first["loc"])) or "the file"
         raise InputError(f"{path}: not a golden table: {where}: {first['msg']}") from None
+
+
+def is_table(path: Path) -> bool:
+    """Return whether a file is a golden table of any version, perhaps a damaged one.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    return _TABLE.match(read_bounded(path, MAX_GOLDEN_BYTES)) is not None
 
 
 def write_table(path: Path, table: GoldenTable) -> None:

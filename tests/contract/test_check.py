@@ -135,6 +135,18 @@ def test_update_unreadable_table_is_replaced(folder, tmp_path, monkeypatch, fly_
     assert read_table(path).rows == read_table(folder / "golden/exact.json").rows
 
 
+@pytest.mark.parametrize("content", ["of mine\n", '{"schema": 2, "scenario": "exact", "seed": 1}'])
+def test_update_replaces_no_other_file(tmp_path, monkeypatch, content):
+    """A golden table, readable or not, is replaced; metrics.json and notes are not."""
+    samples.write(tmp_path, "exact")
+    (tmp_path / "exact.json").write_text(content)
+    monkeypatch.setattr("testbed.studies.golden.fly_all", pytest.fail)
+    words = ("exact.yaml", "--update", "--reason", "again", "--golden", ".")
+    done = check_here(*words, cwd=tmp_path, code=BAD_INPUT)
+    assert done.stderr.startswith("error: exact.json: is no golden table, so --update does not")
+    assert (tmp_path / "exact.json").read_text() == content
+
+
 @pytest.fixture(scope="module")
 def fly_two():
     """In place of `fly_all`: one flight of the deterministic scenario for every seed."""

@@ -62,7 +62,9 @@ def test_file_instead_of_folder_raises(tmp_path):
     (tmp_path / "logs").write_text("")
     with pytest.raises(LogError, match="cannot make the run directory"):
         create_run_directory("s", logs=tmp_path / "logs")
-    with pytest.raises(LogError, match="cannot make the run directory"):
+    with pytest.raises(
+        LogError, match=r"^out: .*logs: cannot make the run directory: it is a file"
+    ):
         create_run_directory("s", out=tmp_path / "logs")
 
 

@@ -210,6 +210,14 @@ def test_null_windows_without_inherited_ones_are_none():
     assert "windows: null" in text and loads(text).scenario.windows == {}
 
 
+@pytest.mark.parametrize("overrides", [(), ("scenario.seed=1e3",)])
+def test_whole_number_with_an_exponent_is_shown_as_written(overrides):
+    text = (FOLDER / "minimal.yaml").read_text()
+    if not overrides:
+        text = text.replace("duration_s: 10", "duration_s: 10, seed: 1e3")
+    assert "scenario.seed: is 1e3 (write 1000, a whole number; " in error_of(loads, text, overrides)
+
+
 def test_whole_number_with_a_point_is_shown_as_written():
     text = error_of(load_scenario, FOLDER / "minimal.yaml", ["scenario.seed=7.0"])
     assert "scenario.seed: is 7.0 (write 7, a whole number" in text

@@ -1,5 +1,6 @@
 """Modules that commands load; `benchmarks/startup.py` measures how long that takes."""
 
+import inspect
 import json
 import subprocess
 import sys
@@ -8,6 +9,7 @@ import typer
 from commands import environment
 
 import testbed
+from testbed.cli.exit_codes import EXIT_CODES_HELP
 from testbed.cli.main import app, help_text
 from testbed.scenario import load_scenario, set_duration
 from testbed.scenario.fields import Section
@@ -67,9 +69,22 @@ def test_command_options_are_built_when_called():
     for name, listed in group.commands.items():
         named, command, rest = group.resolve_command(context, [name, "--rest"])
         assert (named, command.name, rest) == (name, name, ["--rest"])
-        assert command.help == listed.help == help_text(group.functions[name])
-        assert command.epilog == group.epilogs.get(name)
-    assert set(group.epilogs) < set(group.commands)
+        # read from the code of the module, and as Python has it
+        paragraphs = inspect.getdoc(command.callback).split("\n\n")
+        assert command.help == listed.help == help_text(name)
+        assert command.help.split("\n\n") == [" ".join(each.split()) for each in paragraphs]
+        assert command.epilog in (None, EXIT_CODES_HELP)
+
+
+def test_help_imports_no_command_and_no_unused_part_of_rich(tmp_path):
+    loaded = loaded_by(
+        "from testbed.cli.main import app; app(['--help'], standalone_mode=False)", tmp_path
+    )
+    assert {"testbed.cli.main", "typer.rich_utils"} <= loaded
+    assert {each for each in loaded if each.startswith("testbed.cli.")} == {
+        "testbed.cli.exit_codes", "testbed.cli.main", "testbed.cli.output",
+    }  # fmt: skip
+    assert not loaded & {"rich.markdown", "rich.traceback", "pygments", "markdown_it"}
 
 
 def sections(of=Section):
