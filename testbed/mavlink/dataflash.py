@@ -316,42 +316,27 @@ def _output_field(number: int) -> str:
 
 
 _OUTPUTS = tuple(_output_field(n) for n in range(1, 15))
-# By message: its fields, and the field with the number of the sensor or of the EKF's core. The
-# lowest number is used; of the cores the one that flew the aircraft.
-_FIELDS_BY_MESSAGE: Mapping[str, tuple[tuple[str, ...], str | None]] = {
-    "ATT": (("DesRoll", "Roll", "DesPitch", "Pitch", "Yaw"), None),
-    "IMU": (("GyrX", "GyrY", "GyrZ"), "I"),
-    "ARSP": (("Airspeed",), "I"),
-    "CTUN": (("As", "E2T", "ThO"), None),
-    "RCOU": (_OUTPUTS, None),
-    "AETR": (("Ail", "Elev", "Thr", "Rudd"), None),
-    "POS": (("Alt", "RelHomeAlt"), None),
-    "GPS": (("Alt", "VZ"), "I"),
-    "BARO": (("Alt", "CRt"), "I"),
-    "XKF1": (("VD",), _CORE),
-    "AOA": (("AOA", "SSA"), None),
+_ANGLE = ("deg", "degheading")
+# By message: its fields with their units by UNIT and FMTU, of which empty and unknown ones are not
+# checked, and the field with the number of the sensor or of the EKF's core. The lowest number is
+# used; of the cores the one that flew the aircraft.
+_FIELDS_BY_MESSAGE: Mapping[str, tuple[Mapping[str, tuple[str, ...]], str | None]] = {
+    "ATT": (dict.fromkeys(("DesRoll", "Roll", "DesPitch", "Pitch", "Yaw"), _ANGLE), None),
+    "IMU": (dict.fromkeys(("GyrX", "GyrY", "GyrZ"), ("rad/s",)), "I"),
+    "ARSP": ({"Airspeed": ("m/s",)}, "I"),
+    "CTUN": ({"As": ("m/s",), "E2T": (), "ThO": ("%",)}, None),
+    "RCOU": (dict.fromkeys(_OUTPUTS, ("us",)), None),
+    "AETR": ({"Ail": (), "Elev": (), "Thr": ("%",), "Rudd": ()}, None),
+    "POS": ({"Alt": ("m",), "RelHomeAlt": ("m",)}, None),
+    "GPS": ({"Alt": ("m",), "VZ": ("m/s",)}, "I"),
+    "BARO": ({"Alt": ("m",), "CRt": ("m/s",)}, "I"),
+    "XKF1": ({"VD": ("m/s",)}, _CORE),
+    "AOA": ({"AOA": ("deg",), "SSA": ("deg",)}, None),
 }
-# Units of the fields by UNIT and FMTU; others, and unknown ones, are not checked.
 _UNITS: Mapping[tuple[str, str], tuple[str, ...]] = {
-    **dict.fromkeys([(name, "TimeUS") for name in (*_FIELDS_BY_MESSAGE, "MODE")], ("s",)),
-    **dict.fromkeys(
-        [("ATT", name) for name in ("DesRoll", "Roll", "DesPitch", "Pitch", "Yaw")],
-        ("deg", "degheading"),
-    ),
-    **dict.fromkeys([("IMU", name) for name in ("GyrX", "GyrY", "GyrZ")], ("rad/s",)),
-    **dict.fromkeys([("ARSP", "Airspeed"), ("CTUN", "As")], ("m/s",)),
-    **dict.fromkeys([("CTUN", "ThO"), ("AETR", "Thr")], ("%",)),
-    **dict.fromkeys([("RCOU", name) for name in _OUTPUTS], ("us",)),
-    **dict.fromkeys(
-        [("POS", "Alt"), ("POS", "RelHomeAlt"), ("GPS", "Alt"), ("BARO", "Alt")], ("m",)
-    ),
-    **dict.fromkeys([("GPS", "VZ"), ("BARO", "CRt"), ("XKF1", "VD")], ("m/s",)),
-    **dict.fromkeys([("AOA", "AOA"), ("AOA", "SSA")], ("deg",)),
-}
-_READ = {
-    (name, label)
-    for name, fields in {**{n: f for n, (f, _) in _FIELDS_BY_MESSAGE.items()}, "MODE": ()}.items()
-    for label in ("TimeUS", *fields)
+    (name, label): units
+    for name, fields in (*((n, f) for n, (f, _) in _FIELDS_BY_MESSAGE.items()), ("MODE", {}))
+    for label, units in {"TimeUS": ("s",), **fields}.items()
 }
 _NO_MULTIPLIER = "-?"  # ids of FMTU: there is none, or it is not known
 _US = 1e-6  # s, of TimeUS
@@ -621,7 +606,7 @@ def _check_units(path: Path, contents: Contents) -> None:
                 )
             factor = factors[k : k + 1]
             given = multipliers.get(factor, 0.0)
-            if (name, label) not in _READ or divisor is None or factor in _NO_MULTIPLIER:
+            if (name, label) not in _UNITS or divisor is None or factor in _NO_MULTIPLIER:
                 continue
             assumed = (_US if label == "TimeUS" else 1.0) / divisor
             if 0.0 < given < math.inf and not math.isclose(
