@@ -16,7 +16,8 @@ import re
 import struct
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from itertools import islice
 from types import ModuleType
 from typing import SupportsFloat, SupportsIndex
 
@@ -45,6 +46,7 @@ class Message:
     component: int
     sequence: int
     fields: Mapping[str, FieldValue]
+    frame: bytes = field(default=b"", compare=False, repr=False)  # that it was parsed from
 
     def number(self, name: str) -> float:
         """Return a field that is one number.
@@ -89,17 +91,12 @@ class _Layout:
         if self.scalars_only:
             return dict(zip(self.names, values, strict=True))
         found: dict[str, FieldValue] = {}
-        at = 0
-        for field in self.fields:
-            if field.is_text:
-                found[field.name] = values[at].split(b"\0", 1)[0].decode("utf-8", "replace")
-                at += 1
-            elif field.count:
-                found[field.name] = values[at : at + field.count]
-                at += field.count
+        rest = iter(values)
+        for each in self.fields:
+            if each.is_text:
+                found[each.name] = next(rest).split(b"\0", 1)[0].decode("utf-8", "replace")
             else:
-                found[field.name] = values[at]
-                at += 1
+                found[each.name] = tuple(islice(rest, each.count)) if each.count else next(rest)
         return found
 
     def pack(self, values: Mapping[str, FieldInput]) -> bytes:
@@ -251,7 +248,7 @@ def decode(frame: bytes) -> Message | None:
         return None
     sequence, system, component = frame[2:5] if old else frame[4:7]
     fields = layout.unpack(frame[_HEAD_V1 if old else _HEAD_V2 : end])
-    return Message(layout.name, system, component, sequence, fields)
+    return Message(layout.name, system, component, sequence, fields, frame)
 
 
 def frame_length(data: bytes, at: int) -> int:
