@@ -297,15 +297,12 @@ class MavlinkServer:
         return self._codecs[row].pack("SYSTEM_TIME", time_unix_usec=time_us, time_boot_ms=now_ms)
 
     def _handle(self, link: MavlinkLink, message: Message, wall_s: float) -> None:
-        self._register_client(message)
-        for row, vehicle in self._responsive_vehicles():
-            if row in link.rows:
-                self._send(row, vehicle.handle(message, wall_s))
-
-    def _register_client(self, message: Message) -> None:
         ids = (message.system, message.component)
         if ids in self._clients or len(self._clients) < MAX_CLIENTS:
             self._clients[ids] = self._now_s
+        for row, vehicle in self._responsive_vehicles():
+            if row in link.rows:
+                self._send(row, vehicle.handle(message, wall_s))
 
     def _send_events(self, events: Sequence[Event]) -> None:
         """Send each event from its aircraft; those of the run from the leader.

@@ -141,8 +141,8 @@ def deliver_due(
             due += 1
     if not in_order:  # most broadcasts arrive in order
         rows = rows[np.argsort(times_s, kind="mergesort")]  # which is stable
-    for k in rows:
-        queued = queue[k]
+    for row in rows:
+        queued = queue[row]
         i, m = queued.follower, queued.sender
         if _deliver(queued, received[i, m]):
             statistics[i, m].overtaken += 1
