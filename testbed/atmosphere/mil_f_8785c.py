@@ -164,15 +164,10 @@ class Scales:
 
         Heights are m above the ground.
         """
-        shape = (*np.shape(height), 3)
-        sigma = (
-            intensities(height, self.w20, self.probability)
-            if self.sigma is None
-            else np.broadcast_to(np.array(self.sigma, dtype=np.float64), shape)
-        )
-        length = (
-            scale_lengths(height, self.spectrum)
-            if self.length is None
-            else np.broadcast_to(np.array(self.length, dtype=np.float64), shape)
-        )
+        sigma = intensities(height, self.w20, self.probability)
+        length = scale_lengths(height, self.spectrum)
+        if self.sigma is not None:
+            sigma = np.broadcast_to(np.array(self.sigma, dtype=np.float64), sigma.shape)
+        if self.length is not None:
+            length = np.broadcast_to(np.array(self.length, dtype=np.float64), length.shape)
         return sigma, length

@@ -58,11 +58,6 @@ class ParamFile(NamedTuple):
     notes: tuple[Note, ...]
 
 
-def read_values(path: Path) -> dict[str, GivenValue]:
-    """Read the values of a file by ArduPlane's present names; see `read_param_file`."""
-    return read_param_file(path).values
-
-
 def read_param_file(path: Path) -> ParamFile:
     """Read a parameter file by ArduPlane's grammar.
 

@@ -89,13 +89,10 @@ class SitlMavlinkClient:
         custom = float(constant("MAV_MODE_FLAG_CUSTOM_MODE_ENABLED"))
         self._send_command("MAV_CMD_DO_SET_MODE", custom, mode)
 
-    def request_version(self) -> None:
-        """Request AUTOPILOT_VERSION."""
-        self._request_message("MAVLINK_MSG_ID_AUTOPILOT_VERSION")
-
-    def request_rc_channels(self) -> None:
-        """Request RC_CHANNELS."""
-        self._request_message("MAVLINK_MSG_ID_RC_CHANNELS")
+    def request_message(self, name: str) -> None:
+        """Request a message, e.g. RC_CHANNELS."""
+        number = float(constant(f"MAVLINK_MSG_ID_{name}"))
+        self._send_command("MAV_CMD_REQUEST_MESSAGE", number)
 
     def override_rc(self, pulses: tuple[int, ...]) -> None:
         """Override the pulses of its receiver, µs."""
@@ -107,9 +104,6 @@ class SitlMavlinkClient:
         """Return the texts since the last call: whether each is a warning, and the text."""
         texts, self.texts = self.texts, []
         return [(severity <= _WARNING, text) for severity, text in texts]
-
-    def _request_message(self, name: str) -> None:
-        self._send_command("MAV_CMD_REQUEST_MESSAGE", float(constant(name)))
 
     def _send_command(self, name: str, *values: float) -> None:
         params = dict(zip((f"param{n}" for n in range(1, 8)), (*values, *(0.0,) * 7), strict=False))

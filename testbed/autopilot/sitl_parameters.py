@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from testbed.autopilot.param_file import GivenValue, read_param_file, read_values
+from testbed.autopilot.param_file import GivenValue, read_param_file
 from testbed.autopilot.parameters import FbwaParams, fbwa_params, is_virtual, sitl_gyro_cutoff
 
 # Name, value and reason.
@@ -235,7 +235,7 @@ def defaults_text(tune: Path, *, physics_hz: int, autopilot_hz: int) -> str:
         lines += [f"# {reason}", f"{name} {value}"]
     own = [
         f"{name} {each.value:.9g}"
-        for name, each in read_values(tune).items()
+        for name, each in read_param_file(tune).values.items()
         if name not in link and not _is_hardware(name)
     ]
     return "\n".join([*lines, "# the tune", *own, ""])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 
 from testbed.autopilot.json_physics import (
     LIMITS,
@@ -70,9 +71,11 @@ class StartupSequence:
 
     def _stages(self) -> Iterator[float]:
         client = self._client
+        request_version = partial(client.request_message, "AUTOPILOT_VERSION")
+        request_rc = partial(client.request_message, "RC_CHANNELS")
         yield from self._require("sends no heartbeat", lambda: client.mode is not None)
         yield from self._wait(
-            lambda: client.version is not None, client.request_version, _VERSION_TIMEOUT_S
+            lambda: client.version is not None, request_version, _VERSION_TIMEOUT_S
         )
         yield from self._fetch((*RC_MAPS, *LIMITS, *SERVO_FUNCTIONS))
         yield from self._fetch(range_names(client.parameters))
@@ -85,11 +88,11 @@ class StartupSequence:
             lambda: client.mode == FBWA,
             lambda: client.change_mode(FBWA),
         )
-        yield from self._wait(self._receives_rc, client.request_rc_channels, _RC_TIMEOUT_S)
+        yield from self._wait(self._receives_rc, request_rc, _RC_TIMEOUT_S)
         if not self._receives_rc():
             self.overrides = True
             yield from self._require(
-                "receives neither rc nor overrides", self._receives_rc, client.request_rc_channels
+                "receives neither rc nor overrides", self._receives_rc, request_rc
             )
         while self._ticks % round(_START_PERIOD_S * self._hz):
             yield 0.0

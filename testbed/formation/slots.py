@@ -182,10 +182,9 @@ def slot_speed_range(
     by_gamma = np.stack([zeros, ones, zeros], axis=1)
     a = turn_rate * np.cross(by_course[:, None, :], offsets)
     b = gamma_dot * np.cross(by_gamma[:, None, :], offsets)
-    fastest = np.maximum(_norm(speed_max * FORWARD + a + b), _norm(speed_max * FORWARD + a - b))
-    fastest = np.maximum(fastest, _norm(speed_max * FORWARD - a + b))
-    fastest = np.maximum(fastest, _norm(speed_max * FORWARD - a - b))
-    return _shortest(speed_min * FORWARD, a, b).min(axis=0), fastest.max(axis=0)
+    corners = [speed_max * FORWARD + x * a + y * b for x in (1.0, -1.0) for y in (1.0, -1.0)]
+    fastest = np.max([_norm(corner) for corner in corners], axis=(0, 1))
+    return _shortest(speed_min * FORWARD, a, b).min(axis=0), fastest
 
 
 def _shortest(base: Array, a: Array, b: Array) -> Array:

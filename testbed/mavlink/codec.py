@@ -1,10 +1,10 @@
 """Pack and parse MAVLink frames of ArduPilot's dialect.
 
-The message definitions come from pymavlink's generated tables; framing and serialization are
-implemented here (https://mavlink.io/en/guide/serialization.html). This is the only module that
-imports pymavlink, and only on the first use, because the tables take tens of ms to load. Only the
-generated tables may be imported: they are under the MIT licence, while other modules of pymavlink
-are under the GPL or import one that is.
+The definitions, headers and checksums are those of pymavlink's generated tables; serialization and
+parsing are implemented here (https://mavlink.io/en/guide/serialization.html). This is the only
+module that imports pymavlink, and only on the first use, because the tables take tens of ms to
+load. Only the generated tables may be imported: they are under the MIT licence, while other modules
+of pymavlink are under the GPL or import one that is.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ import functools
 import re
 import struct
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from itertools import islice
 from types import ModuleType
-from typing import Any, SupportsFloat, SupportsIndex
+from typing import SupportsFloat, SupportsIndex
 
 from testbed.core.errors import InputError, needs_extra
 from testbed.mavlink.signing import SIGNATURE_BYTES, MessageSigner, Signing, Verdict
 
 V1, V2 = 0xFE, 0xFD  # first byte of a frame
-_HEAD = struct.Struct("<BBBBBBBHB")
 _HEAD_V1, _HEAD_V2, _CHECKSUM = 6, 10, 2
 _SIGNED = 0x01  # the only incompatibility flag that is defined
 _MARKER = re.compile(b"[\xfd\xfe]")
@@ -46,6 +46,7 @@ class Message:
     component: int
     sequence: int
     fields: Mapping[str, FieldValue]
+    frame: bytes = field(default=b"", compare=False, repr=False)  # that it was parsed from
 
     def number(self, name: str) -> float:
         """Return a field that is one number.
@@ -90,17 +91,12 @@ class _Layout:
         if self.scalars_only:
             return dict(zip(self.names, values, strict=True))
         found: dict[str, FieldValue] = {}
-        at = 0
-        for field in self.fields:
-            if field.is_text:
-                found[field.name] = values[at].split(b"\0", 1)[0].decode("utf-8", "replace")
-                at += 1
-            elif field.count:
-                found[field.name] = values[at : at + field.count]
-                at += field.count
+        rest = iter(values)
+        for each in self.fields:
+            if each.is_text:
+                found[each.name] = next(rest).split(b"\0", 1)[0].decode("utf-8", "replace")
             else:
-                found[field.name] = values[at]
-                at += 1
+                found[each.name] = tuple(islice(rest, each.count)) if each.count else next(rest)
         return found
 
     def pack(self, values: Mapping[str, FieldInput]) -> bytes:
@@ -187,18 +183,9 @@ class Codec:
         layout = _layout_of_name(name)
         payload = layout.pack(fields).rstrip(b"\0") or b"\0"
         flags = _SIGNED if self._signer else 0
-        frame = _HEAD.pack(
-            V2,
-            len(payload),
-            flags,
-            0,
-            self._sequence,
-            self._system,
-            self._component,
-            layout.number & 0xFFFF,
-            layout.number >> 16,
-        )
-        frame += payload
+        sender = self._sequence, self._system, self._component
+        header = load_dialect().MAVLink_header(layout.number, flags, 0, len(payload), *sender)
+        frame: bytes = header.pack() + payload
         frame += struct.pack("<H", _checksum(frame[1:] + layout.seed))
         self._sequence = (self._sequence + 1) % 256
         return self._signer.sign(frame) if self._signer else frame
@@ -253,7 +240,7 @@ def decode(frame: bytes) -> Message | None:
         return None
     old = frame[0] == V1
     number = frame[5] if old else int.from_bytes(frame[7:10], "little")
-    if number not in _message_classes() or (not old and frame[2] & ~_SIGNED):
+    if number not in load_dialect().mavlink_map or (not old and frame[2] & ~_SIGNED):
         return None
     layout = _layout(number)
     end = len(frame) - _CHECKSUM - (SIGNATURE_BYTES if _signed(frame) else 0)
@@ -261,7 +248,7 @@ def decode(frame: bytes) -> Message | None:
         return None
     sequence, system, component = frame[2:5] if old else frame[4:7]
     fields = layout.unpack(frame[_HEAD_V1 if old else _HEAD_V2 : end])
-    return Message(layout.name, system, component, sequence, fields)
+    return Message(layout.name, system, component, sequence, fields, frame)
 
 
 def frame_length(data: bytes, at: int) -> int:
@@ -309,29 +296,18 @@ def load_dialect() -> ModuleType:
 
 def _checksum(data: bytes) -> int:
     """Compute the CRC-16/MCRF4XX."""
-    return _crc()(data)
-
-
-@functools.cache
-def _crc() -> Callable[[bytes], int]:
-    crc_class = load_dialect().x25crc
-    return lambda data: crc_class(data).crc
-
-
-@functools.cache
-def _message_classes() -> dict[int, Any]:
-    """Return pymavlink's class of every message, by number."""
-    return dict(load_dialect().mavlink_map)
+    checksum: int = load_dialect().x25crc(data).crc
+    return checksum
 
 
 @functools.cache
 def _numbers_by_name() -> dict[str, int]:
-    return {message_class.msgname: number for number, message_class in _message_classes().items()}
+    return {each.msgname: number for number, each in load_dialect().mavlink_map.items()}
 
 
 @functools.lru_cache(maxsize=None)
 def _layout(number: int) -> _Layout:
-    definition = _message_classes()[number]
+    definition = load_dialect().mavlink_map[number]
     required = len(definition.fieldnames) - len(definition.__init__.__defaults__ or ())
     extensions = definition.fieldnames[required:]
     types = dict(zip(definition.fieldnames, definition.fieldtypes, strict=True))

@@ -18,7 +18,7 @@ from testbed.mavlink.altitude_frames import (
     frame_error,
 )
 from testbed.mavlink.codec import Message, constant
-from testbed.mavlink.missions import Position, check_position
+from testbed.mavlink.missions import check_position
 from testbed.mavlink.outgoing import Fields, Handler, OutgoingMessage, sender_of
 from testbed.mavlink.telemetry_messages import MessageSchedule, build_message, message_names
 from testbed.mavlink.vehicle_context import VehicleContext
@@ -29,6 +29,7 @@ _CUSTOM = 1  # MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
 _E7 = 1e7
 _MODES = frozenset(map(float, FlightMode))
 _RTL = 11.0  # ArduPlane's mode
+_NO_REBOOT = "Reboot: not possible during a run"
 
 
 class Result(IntEnum):
@@ -74,18 +75,19 @@ class CommandProtocol:
             constant(f"MAV_CMD_{name}"): execute
             for name, execute in {
                 "COMPONENT_ARM_DISARM": self._arm,
-                "DO_SET_MODE": self._do_set_mode,
+                "DO_SET_MODE": lambda request: self._change_mode(*request.params[:2]),
                 "DO_REPOSITION": self._reposition,
                 "DO_CHANGE_SPEED": self._change_speed,
                 "MISSION_START": self._start_mission,
                 "DO_SET_MISSION_CURRENT": self._set_current,
-                "NAV_LOITER_UNLIM": self._loiter,
+                # circles the current position, as the command has none
+                "NAV_LOITER_UNLIM": lambda request: self._change_mode(_CUSTOM, FlightMode.LOITER),
                 "SET_MESSAGE_INTERVAL": self._set_interval,
-                "GET_MESSAGE_INTERVAL": self._get_interval,
+                "GET_MESSAGE_INTERVAL": lambda request: self._interval(request.params[0]),
                 "REQUEST_MESSAGE": self._request,
                 "REQUEST_AUTOPILOT_CAPABILITIES": self._capabilities,
-                "GET_HOME_POSITION": self._home,
-                "PREFLIGHT_REBOOT_SHUTDOWN": self._reboot,
+                "GET_HOME_POSITION": lambda request: self._build("HOME_POSITION"),
+                "PREFLIGHT_REBOOT_SHUTDOWN": lambda request: self._denied(_NO_REBOOT),
                 "NAV_RETURN_TO_LAUNCH": lambda request: self._reply(_unsupported("RTL")),
                 "NAV_TAKEOFF": lambda request: self._reply(_unsupported("TAKEOFF")),
                 "NAV_LAND": lambda request: self._reply(_unsupported("LAND")),
@@ -111,9 +113,6 @@ class CommandProtocol:
             return self._denied("Arming: give 1, or 0 to disarm")
         return self._reply(self._context.control.set_armed(arm == 1.0, force=force == _FORCE))
 
-    def _do_set_mode(self, request: CommandRequest) -> CommandReply:
-        return self._change_mode(request.params[0], request.params[1])
-
     def _change_mode(self, base: float, custom: float) -> CommandReply:
         modes = ", ".join(f"{mode.value} {mode.name}" for mode in FlightMode)
         if not math.isfinite(base) or not int(base) & _CUSTOM:
@@ -132,8 +131,8 @@ class CommandProtocol:
             return reply._replace(result=Result.UNSUPPORTED_FRAME)
         _, flags, radius, anticlockwise, latitude_deg, longitude_deg, altitude = request.params
         keep = math.isnan(altitude)
-        position = Position(latitude_deg, longitude_deg, 0.0 if keep else altitude)
-        if check_position(position) is not None or math.isinf(radius):
+        wrong = check_position(latitude_deg, longitude_deg, 0.0 if keep else altitude)
+        if wrong is not None or math.isinf(radius):
             return self._denied("Fly there: give latitude, longitude, altitude")
         control = self._context.control
         if control.mode is not FlightMode.GUIDED:
@@ -180,10 +179,6 @@ class CommandProtocol:
         current = build_message("MISSION_CURRENT", self._context)
         return CommandReply(reply.result, (*reply.messages, *current))
 
-    def _loiter(self, request: CommandRequest) -> CommandReply:
-        """Circle the current position, as the command has none."""
-        return self._reply(self._context.control.set_mode(FlightMode.LOITER))
-
     def _set_interval(self, request: CommandRequest) -> CommandReply:
         name, interval_us = message_names().get(_id(request.params[0])), request.params[1]
         if name is None or not math.isfinite(interval_us):
@@ -191,13 +186,10 @@ class CommandProtocol:
         self._schedule.set_interval(name, interval_us)
         return CommandReply(Result.ACCEPTED)
 
-    def _get_interval(self, request: CommandRequest) -> CommandReply:
-        return CommandReply(Result.ACCEPTED, (self._interval(_id(request.params[0])),))
-
     def _request(self, request: CommandRequest) -> CommandReply:
         message = _id(request.params[0])
         if message == constant("MAVLINK_MSG_ID_MESSAGE_INTERVAL"):
-            return CommandReply(Result.ACCEPTED, (self._interval(_id(request.params[1])),))
+            return self._interval(request.params[1])
         name = message_names().get(message)
         if name is None:
             return CommandReply(Result.UNSUPPORTED)
@@ -208,21 +200,18 @@ class CommandProtocol:
     def _capabilities(self, request: CommandRequest) -> CommandReply:
         if request.params[0] != 1.0:
             return self._denied("Capabilities: give 1")
-        version = build_message("AUTOPILOT_VERSION", self._context)
-        return CommandReply(Result.ACCEPTED, tuple(version))
+        return self._build("AUTOPILOT_VERSION")
 
-    def _home(self, request: CommandRequest) -> CommandReply:
-        return CommandReply(Result.ACCEPTED, tuple(build_message("HOME_POSITION", self._context)))
+    def _build(self, name: str) -> CommandReply:
+        return CommandReply(Result.ACCEPTED, tuple(build_message(name, self._context)))
 
-    def _reboot(self, request: CommandRequest) -> CommandReply:
-        return self._denied("Reboot: not possible during a run")
-
-    def _interval(self, message: int) -> OutgoingMessage:
-        """Make a MESSAGE_INTERVAL; the interval of unknown messages is 0."""
+    def _interval(self, number: float) -> CommandReply:
+        """Answer with a MESSAGE_INTERVAL; the interval of unknown messages is 0."""
+        message = _id(number)
         name = message_names().get(message)
         interval = 0 if name is None else self._schedule.interval_us(name)
         fields: Fields = {"message_id": max(message, 0), "interval_us": interval}
-        return OutgoingMessage("MESSAGE_INTERVAL", fields)
+        return CommandReply(Result.ACCEPTED, (OutgoingMessage("MESSAGE_INTERVAL", fields),))
 
     def _reply(self, rejection: Rejection | None) -> CommandReply:
         if rejection is None:

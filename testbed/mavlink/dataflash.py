@@ -95,6 +95,9 @@ class DataflashTable:
     offsets: _Offsets
 
 
+_NO_MESSAGES = DataflashTable({}, {}, np.empty(0, np.int64))
+
+
 @dataclass(frozen=True, slots=True)
 class Contents:
     """The requested messages of a log.
@@ -316,42 +319,27 @@ def _output_field(number: int) -> str:
 
 
 _OUTPUTS = tuple(_output_field(n) for n in range(1, 15))
-# By message: its fields, and the field with the number of the sensor or of the EKF's core. The
-# lowest number is used; of the cores the one that flew the aircraft.
-_FIELDS_BY_MESSAGE: Mapping[str, tuple[tuple[str, ...], str | None]] = {
-    "ATT": (("DesRoll", "Roll", "DesPitch", "Pitch", "Yaw"), None),
-    "IMU": (("GyrX", "GyrY", "GyrZ"), "I"),
-    "ARSP": (("Airspeed",), "I"),
-    "CTUN": (("As", "E2T", "ThO"), None),
-    "RCOU": (_OUTPUTS, None),
-    "AETR": (("Ail", "Elev", "Thr", "Rudd"), None),
-    "POS": (("Alt", "RelHomeAlt"), None),
-    "GPS": (("Alt", "VZ"), "I"),
-    "BARO": (("Alt", "CRt"), "I"),
-    "XKF1": (("VD",), _CORE),
-    "AOA": (("AOA", "SSA"), None),
+_ANGLE = ("deg", "degheading")
+# By message: its fields with their units by UNIT and FMTU, of which empty and unknown ones are not
+# checked, and the field with the number of the sensor or of the EKF's core. The lowest number is
+# used; of the cores the one that flew the aircraft.
+_FIELDS_BY_MESSAGE: Mapping[str, tuple[Mapping[str, tuple[str, ...]], str | None]] = {
+    "ATT": (dict.fromkeys(("DesRoll", "Roll", "DesPitch", "Pitch", "Yaw"), _ANGLE), None),
+    "IMU": (dict.fromkeys(("GyrX", "GyrY", "GyrZ"), ("rad/s",)), "I"),
+    "ARSP": ({"Airspeed": ("m/s",)}, "I"),
+    "CTUN": ({"As": ("m/s",), "E2T": (), "ThO": ("%",)}, None),
+    "RCOU": (dict.fromkeys(_OUTPUTS, ("us",)), None),
+    "AETR": ({"Ail": (), "Elev": (), "Thr": ("%",), "Rudd": ()}, None),
+    "POS": ({"Alt": ("m",), "RelHomeAlt": ("m",)}, None),
+    "GPS": ({"Alt": ("m",), "VZ": ("m/s",)}, "I"),
+    "BARO": ({"Alt": ("m",), "CRt": ("m/s",)}, "I"),
+    "XKF1": ({"VD": ("m/s",)}, _CORE),
+    "AOA": ({"AOA": ("deg",), "SSA": ("deg",)}, None),
 }
-# Units of the fields by UNIT and FMTU; others, and unknown ones, are not checked.
 _UNITS: Mapping[tuple[str, str], tuple[str, ...]] = {
-    **dict.fromkeys([(name, "TimeUS") for name in (*_FIELDS_BY_MESSAGE, "MODE")], ("s",)),
-    **dict.fromkeys(
-        [("ATT", name) for name in ("DesRoll", "Roll", "DesPitch", "Pitch", "Yaw")],
-        ("deg", "degheading"),
-    ),
-    **dict.fromkeys([("IMU", name) for name in ("GyrX", "GyrY", "GyrZ")], ("rad/s",)),
-    **dict.fromkeys([("ARSP", "Airspeed"), ("CTUN", "As")], ("m/s",)),
-    **dict.fromkeys([("CTUN", "ThO"), ("AETR", "Thr")], ("%",)),
-    **dict.fromkeys([("RCOU", name) for name in _OUTPUTS], ("us",)),
-    **dict.fromkeys(
-        [("POS", "Alt"), ("POS", "RelHomeAlt"), ("GPS", "Alt"), ("BARO", "Alt")], ("m",)
-    ),
-    **dict.fromkeys([("GPS", "VZ"), ("BARO", "CRt"), ("XKF1", "VD")], ("m/s",)),
-    **dict.fromkeys([("AOA", "AOA"), ("AOA", "SSA")], ("deg",)),
-}
-_READ = {
-    (name, label)
-    for name, fields in {**{n: f for n, (f, _) in _FIELDS_BY_MESSAGE.items()}, "MODE": ()}.items()
-    for label in ("TimeUS", *fields)
+    (name, label): units
+    for name, fields in (*((n, f) for n, (f, _) in _FIELDS_BY_MESSAGE.items()), ("MODE", {}))
+    for label, units in {"TimeUS": ("s",), **fields}.items()
 }
 _NO_MULTIPLIER = "-?"  # ids of FMTU: there is none, or it is not known
 _US = 1e-6  # s, of TimeUS
@@ -423,14 +411,14 @@ def read_log(path: Path) -> FlightLog:
     }
     contents = read_messages(data, requested)
     found = contents.tables
-    params = _params(found["PARM"]) if "PARM" in found else {}
+    params = _params(found.get("PARM", _NO_MESSAGES))
     plane = _check_vehicle(path, found, params)
     _check_units(path, contents)
     core = _flying_core(found)
     tables: dict[str, MessageTable] = {}
     left_out: dict[str, int] = {}
     instances: list[str] = []
-    attitude: DataflashTable | None = None
+    attitude = _NO_MESSAGES
     for name, (_, sensor) in _FIELDS_BY_MESSAGE.items():
         if name in found and "TimeUS" in found[name].numbers:
             rows = found[name]
@@ -450,9 +438,8 @@ def read_log(path: Path) -> FlightLog:
                     attitude = DataflashTable(fields, {}, rows.offsets[keep])
     end = max((float(table.time[-1]) for table in tables.values()), default=0.0)
     notes = _notes(contents)
-    modes: tuple[ModeInterval, ...] = ()
-    if "MODE" in found:
-        modes, left_out["MODE"] = _mode_intervals(found["MODE"], attitude, end)
+    mode_messages = found.get("MODE", _NO_MESSAGES)
+    modes, left_out["MODE"] = _mode_intervals(mode_messages, attitude, end)
     return FlightLog(
         path=path,
         tables=tables,
@@ -519,7 +506,7 @@ def _one_instance(
 
 def _flying_core(found: Mapping[str, DataflashTable]) -> int | None:
     """Return the EKF core that was the primary one for most of the log."""
-    cores = found["XKF4"].numbers.get("PI") if "XKF4" in found else None
+    cores = found.get("XKF4", _NO_MESSAGES).numbers.get("PI")
     if cores is None or not np.isfinite(cores).any():
         return None
     cores = cores[np.isfinite(cores)]
@@ -532,7 +519,7 @@ def _params(table: DataflashTable) -> dict[str, float]:
 
 
 def _mode_intervals(
-    table: DataflashTable, attitude: DataflashTable | None, log_end: float
+    table: DataflashTable, attitude: DataflashTable, log_end: float
 ) -> tuple[tuple[ModeInterval, ...], int]:
     """Find the intervals in each mode, and count the messages without a credible time.
 
@@ -550,12 +537,8 @@ def _mode_intervals(
     if modes is None or "TimeUS" not in numbers:
         return (), 0
     start = _US * numbers["TimeUS"]
-    time = np.empty(0) if attitude is None else _US * attitude.numbers["TimeUS"]
-    next_one = (
-        np.zeros(len(start), dtype=np.intp)
-        if attitude is None
-        else np.searchsorted(attitude.offsets, table.offsets)
-    )
+    time = _US * attitude.numbers.get("TimeUS", np.empty(0))
+    next_one = np.searchsorted(attitude.offsets, table.offsets)
     before, after = np.append(-np.inf, time)[next_one], np.append(time, log_end)[next_one]
     valid = np.isfinite(modes) & (start >= before - _RESTART) & (start <= after + _RESTART)
     valid &= start >= np.maximum.accumulate(np.where(valid, start, -np.inf))
@@ -576,12 +559,9 @@ def _check_vehicle(
     Raises:
         MavlinkError: it says that it is of another vehicle.
     """
-    version, texts = found.get("VER"), found.get("MSG")
-    banners = [
-        *(version.texts.get("FWS", ()) if version else ()),
-        *(texts.texts.get("Message", ()) if texts else ()),
-    ]
-    builds = Counter(version.numbers.get("BU", np.empty(0)).tolist()) if version else Counter()
+    version, texts = found.get("VER", _NO_MESSAGES), found.get("MSG", _NO_MESSAGES)
+    banners = (*version.texts.get("FWS", ()), *texts.texts.get("Message", ()))
+    builds = Counter(version.numbers.get("BU", np.empty(0)).tolist())
     plane = is_plane(path, banners, params, first=True)
     if not builds:
         return plane
@@ -602,11 +582,11 @@ def _check_units(path: Path, contents: Contents) -> None:
     Raises:
         MavlinkError: a field that is read has another unit or multiplier.
     """
-    declared = contents.tables.get("FMTU")
-    if declared is None or "FmtType" not in declared.numbers:
+    declared = contents.tables.get("FMTU", _NO_MESSAGES)
+    if "FmtType" not in declared.numbers:
         return
-    labels = _by_id(contents.tables.get("UNIT"), "Label")
-    multipliers = _by_id(contents.tables.get("MULT"), "Mult")
+    labels = _by_id(contents.tables.get("UNIT", _NO_MESSAGES), "Label")
+    multipliers = _by_id(contents.tables.get("MULT", _NO_MESSAGES), "Mult")
     numbers = declared.numbers["FmtType"].tolist()
     none = ("",) * len(numbers)
     ids = (declared.texts.get(each, none) for each in ("UnitIds", "MultIds"))
@@ -621,7 +601,7 @@ def _check_units(path: Path, contents: Contents) -> None:
                 )
             factor = factors[k : k + 1]
             given = multipliers.get(factor, 0.0)
-            if (name, label) not in _READ or divisor is None or factor in _NO_MULTIPLIER:
+            if (name, label) not in _UNITS or divisor is None or factor in _NO_MULTIPLIER:
                 continue
             assumed = (_US if label == "TimeUS" else 1.0) / divisor
             if 0.0 < given < math.inf and not math.isclose(
@@ -633,9 +613,9 @@ def _check_units(path: Path, contents: Contents) -> None:
                 )
 
 
-def _by_id(table: DataflashTable | None, field: str) -> dict[str, Any]:
+def _by_id(table: DataflashTable, field: str) -> dict[str, Any]:
     """Return the values of a field by the character that is their id."""
-    if table is None or "Id" not in table.numbers:
+    if "Id" not in table.numbers:
         return {}
     values: Sequence[Any] = table.texts.get(field) or table.numbers.get(field, np.empty(0)).tolist()
     pairs = zip(table.numbers["Id"].tolist(), values, strict=False)

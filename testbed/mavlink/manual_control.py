@@ -21,7 +21,12 @@ _NO_AXIS = 32767  # of MANUAL_CONTROL
 _NO_RATES, _NO_THROTTLE, _NO_ATTITUDE = 7, 64, 128  # ATTITUDE_TARGET_TYPEMASK
 _THRUST_VECTOR = 32
 _CRUISE = "TRIM_THROTTLE"  # %, throttle while its stick is released
-_STICKS = {"roll": ROLL, "pitch": PITCH, "throttle": THROTTLE}  # fields of a command, channels
+# By field of a command: its channel, and the conversion of the channel's pulses.
+_STICKS = {
+    "roll": (ROLL, RcScaling.roll_angle),
+    "pitch": (PITCH, RcScaling.pitch_angle),
+    "throttle": (THROTTLE, RcScaling.throttle_share),
+}
 _RELEASED: FbwaCommand[float | None] = FbwaCommand(None, None, None)
 
 
@@ -47,12 +52,12 @@ class ManualControl:
         """Take pulses in place of those of an RC receiver."""
         scaling = self._context.rc_scaling()
         self._release_stale()
-        for stick, channel in _STICKS.items():
+        for stick, (channel, convert) in _STICKS.items():
             pulse_us = int(message.number(f"chan{channel}_raw"))
             if pulse_us == _RELEASE:
                 self._move(stick, None)
             elif pulse_us != _IGNORE:
-                self._move(stick, _stick_value(stick, pulse_us, scaling))
+                self._move(stick, convert(scaling, pulse_us))
         return self._send_command()
 
     def _manual(self, message: Message) -> list[OutgoingMessage]:
@@ -71,7 +76,8 @@ class ManualControl:
             value = int(message.number(axis))
             if value != _NO_AXIS:
                 pulse_us = _pulse_of_axis(sign * value, ends, pwm_range)
-                self._move(stick, _stick_value(stick, pulse_us, scaling))
+                _, convert = _STICKS[stick]
+                self._move(stick, convert(scaling, pulse_us))
         return self._send_command()
 
     def _attitude(self, message: Message) -> list[OutgoingMessage]:
@@ -135,16 +141,6 @@ class ManualControl:
             answers_s=answers_s,
         )
         return [] if rejection is None else self._context.warn(rejection.text)
-
-
-def _stick_value(stick: str, pulse_us: float, scaling: RcScaling) -> float:
-    """Convert the pulse of a stick to its field of a command."""
-    convert = {
-        "roll": scaling.roll_angle,
-        "pitch": scaling.pitch_angle,
-        "throttle": scaling.throttle_share,
-    }
-    return convert[stick](pulse_us)
 
 
 def _pulse_of_axis(value: float, ends: tuple[float, float], pwm_range: PwmRange) -> float:

@@ -50,14 +50,6 @@ class MissionResult(IntEnum):
     CANCELLED = 15
 
 
-class Position(NamedTuple):
-    """A geodetic position."""
-
-    latitude_deg: float
-    longitude_deg: float
-    altitude: float  # m, in the frame of the message
-
-
 class ItemRefusal(NamedTuple):
     """The reason why an item is refused."""
 
@@ -80,9 +72,9 @@ def read_item(message: Message) -> MissionItem | ItemRefusal:
             result = MissionResult(MissionResult.INVALID_PARAM1 + number)
             return ItemRefusal(result, f"param{number + 1} is infinite: write a finite number")
     scale = _E7 if message.name == "MISSION_ITEM_INT" else 1.0
-    x, y, z = (message.number(axis) for axis in "xyz")
-    position = Position(x / scale, y / scale, z)
-    error = check_position(position)
+    latitude, longitude = message.number("x") / scale, message.number("y") / scale
+    altitude = message.number("z")
+    error = check_position(latitude, longitude, altitude)
     if error is not None:
         return ItemRefusal(error, _POSITION_ERRORS[error])
     one, two, three, four = parameters
@@ -90,9 +82,9 @@ def read_item(message: Message) -> MissionItem | ItemRefusal:
         command=int(message.number("command")),
         frame=frame,
         parameters=(one, two, three, four),
-        x=position.latitude_deg,
-        y=position.longitude_deg,
-        z=z,
+        x=latitude,
+        y=longitude,
+        z=altitude,
         autocontinue=bool(message.number("autocontinue")),
     )
 
@@ -104,18 +96,19 @@ _POSITION_ERRORS = {
 }
 
 
-def check_position(position: Position) -> MissionResult | None:
+def check_position(
+    latitude_deg: float, longitude_deg: float, altitude: float
+) -> MissionResult | None:
     """Check the ranges of a position; None: it is valid."""
-    if not abs(position.latitude_deg) <= 90.0:
+    if not abs(latitude_deg) <= 90.0:
         return MissionResult.INVALID_PARAM5_X
-    if not abs(position.longitude_deg) <= 180.0:
+    if not abs(longitude_deg) <= 180.0:
         return MissionResult.INVALID_PARAM6_Y
-    return None if math.isfinite(position.altitude) else MissionResult.INVALID_PARAM7
+    return None if math.isfinite(altitude) else MissionResult.INVALID_PARAM7
 
 
 def item_fields(item: MissionItem, sequence: int, *, current: bool, as_int: bool) -> Fields:
     """Return the fields of a MISSION_ITEM_INT or MISSION_ITEM, without target and type."""
-    one, two, three, four = item.parameters
     position: Fields = {"x": item.x, "y": item.y}
     if as_int:
         position = {"x": to_integer(item.x * _E7, I32), "y": to_integer(item.y * _E7, I32)}
@@ -125,10 +118,7 @@ def item_fields(item: MissionItem, sequence: int, *, current: bool, as_int: bool
         "command": item.command,
         "current": int(current),
         "autocontinue": int(item.autocontinue),
-        "param1": one,
-        "param2": two,
-        "param3": three,
-        "param4": four,
+        **{f"param{number}": value for number, value in enumerate(item.parameters, 1)},
         **position,
         "z": item.z,
     }

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from testbed.core.errors import InputError
 from testbed.core.records import Event, NedOrigin, RunInfo, Sample
-from testbed.mavlink.codec import Codec, Message, decode, frame_length
+from testbed.mavlink.codec import Codec, Message
 from testbed.mavlink.outgoing import OutgoingMessage
 from testbed.mavlink.signing import MessageSigner, Signing, signing_time
 from testbed.mavlink.telemetry_messages import ATTITUDE
@@ -50,23 +50,6 @@ class MavlinkLink:
         if self._packet:
             self.endpoint.send(bytes(self._packet))
             self._packet.clear()
-
-
-def authenticated_frames(data: bytes, messages: Sequence[Message]) -> Iterator[bytes]:
-    """Yield the frames of a datagram that these accepted messages were parsed from."""
-    at, remaining = 0, [_label(message) for message in messages]
-    while remaining and at < len(data):
-        frame = data[at : at + frame_length(data, at)]
-        message = decode(frame)
-        if message is not None and _label(message) == remaining[0]:
-            yield frame
-            remaining.pop(0)
-        at += 1 if message is None else len(frame)
-
-
-def _label(message: Message) -> tuple[str, int, int, int]:
-    """Return what identifies a frame in a datagram; fields may be NaN, which equals nothing."""
-    return message.name, message.system, message.component, message.sequence
 
 
 MAX_VEHICLES = 250  # higher system ids are those of ground stations
@@ -188,13 +171,25 @@ class MavlinkServer:
         self._flush()
         self.close()
 
-    def poll(self, now_s: float) -> None:
-        """Handle received messages.
+    def poll(self, now_s: float) -> bool:
+        """Handle received messages, and send what is due; true: there were messages.
 
         Args:
             now_s: simulation time, s.
         """
-        self._receive(now_s)
+        if not self._vehicles:
+            return False
+        self._set_time(now_s)
+        wall_s, received = self._clock(), False
+        stop = wall_s + RECEIVE_BUDGET_S
+        for k, link in enumerate(self._links):
+            # links after a quiet one get its unused share
+            share = (stop - self._clock()) / (len(self._links) - k)
+            received |= self._serve_link(link, wall_s, share)
+        for row, vehicle in self._responsive_vehicles():
+            self._send(row, vehicle.poll(wall_s))
+        self._flush()
+        return received
 
     def wait(self, seconds: float, now_s: float) -> None:
         """Handle messages until one has been received or the time is over.
@@ -205,7 +200,7 @@ class MavlinkServer:
         """
         endpoints = [link.endpoint for link in self._links]
         stop = self._clock() + seconds
-        while not self._receive(now_s):
+        while not self.poll(now_s):
             remaining = stop - self._clock()
             if remaining <= 0.0:
                 return
@@ -253,22 +248,6 @@ class MavlinkServer:
             self._log.close()
             self._log = None
 
-    def _receive(self, now_s: float) -> bool:
-        """Handle received messages, send what is due; true: there were messages."""
-        if not self._vehicles:
-            return False
-        self._set_time(now_s)
-        wall_s, received = self._clock(), False
-        stop = wall_s + RECEIVE_BUDGET_S
-        for k, link in enumerate(self._links):
-            # links after a quiet one get its unused share
-            share = (stop - self._clock()) / (len(self._links) - k)
-            received |= self._serve_link(link, wall_s, share)
-        for row, vehicle in self._responsive_vehicles():
-            self._send(row, vehicle.poll(wall_s))
-        self._flush()
-        return received
-
     def _responsive_vehicles(self) -> Iterator[tuple[int, MavlinkVehicle]]:
         """Yield row and vehicle of all aircraft whose autopilot is not frozen."""
         for row, vehicle in enumerate(self._vehicles):
@@ -305,8 +284,8 @@ class MavlinkServer:
             self._frames_received += len(messages)
             link.unhandled += messages
             if self._log is not None:
-                for frame in authenticated_frames(data, messages):
-                    self._log.write(self._timestamp_us(), frame)
+                for message in messages:
+                    self._log.write(self._timestamp_us(), message.frame)
 
     def _time_frame(self, row: int) -> bytes:
         """Pack SYSTEM_TIME; its signature advances a slow client's clock.
@@ -318,15 +297,12 @@ class MavlinkServer:
         return self._codecs[row].pack("SYSTEM_TIME", time_unix_usec=time_us, time_boot_ms=now_ms)
 
     def _handle(self, link: MavlinkLink, message: Message, wall_s: float) -> None:
-        self._register_client(message)
-        for row, vehicle in self._responsive_vehicles():
-            if row in link.rows:
-                self._send(row, vehicle.handle(message, wall_s))
-
-    def _register_client(self, message: Message) -> None:
         ids = (message.system, message.component)
         if ids in self._clients or len(self._clients) < MAX_CLIENTS:
             self._clients[ids] = self._now_s
+        for row, vehicle in self._responsive_vehicles():
+            if row in link.rows:
+                self._send(row, vehicle.handle(message, wall_s))
 
     def _send_events(self, events: Sequence[Event]) -> None:
         """Send each event from its aircraft; those of the run from the leader.

@@ -137,18 +137,16 @@ class MessageSigner:
         time = int.from_bytes(frame[-_HASH_BYTES - 6 : -_HASH_BYTES], "little")
         stream = (frame[-SIGNATURE_BYTES], frame[5], frame[6])
         latest = self._latest.get(stream)
-        if latest is None and time < self._first_time():
+        first = self._time - _MAX_AGE  # of a stream
+        if self._signing.strict:
+            first = max(first, self._signing.time)
+        if latest is None and time < first:
             return "outdated"
         if latest is not None and time <= latest:
             return "replayed"
         self._latest[stream] = time
         self.advance(time)
         return "good"
-
-    def _first_time(self) -> int:
-        """Return the earliest time of the first signature of a stream."""
-        oldest = self._time - _MAX_AGE
-        return max(oldest, self._signing.time) if self._signing.strict else oldest
 
     def _hash(self, signed: bytes) -> bytes:
         return hashlib.sha256(self._signing.key + signed).digest()[:_HASH_BYTES]

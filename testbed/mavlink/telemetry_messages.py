@@ -47,12 +47,8 @@ class TelemetryMessage:
     stream: Stream | None = None
 
 
-def _heartbeat(context: VehicleContext, snapshot: TelemetrySnapshot) -> Fields:
-    return status.heartbeat(context)
-
-
 TELEMETRY_MESSAGES: Mapping[str, TelemetryMessage] = {
-    HEARTBEAT: TelemetryMessage(_heartbeat, 1.0),
+    HEARTBEAT: TelemetryMessage(status.heartbeat, 1.0),
     "SYS_STATUS": TelemetryMessage(status.sys_status, 2.0, Stream.EXTENDED_STATUS),
     "MISSION_CURRENT": TelemetryMessage(status.mission_current, 1.0, Stream.EXTENDED_STATUS),
     "GPS_RAW_INT": TelemetryMessage(motion.gps_raw_int, 5.0, Stream.EXTENDED_STATUS),
@@ -85,11 +81,9 @@ def build_message(name: str, context: VehicleContext) -> list[OutgoingMessage]:
     """Build a telemetry message; before the first sample only the heartbeat is available."""
     if name == HEARTBEAT:
         return [OutgoingMessage(name, status.heartbeat(context))]
-    fields = (
-        None
-        if context.snapshot is None
-        else TELEMETRY_MESSAGES[name].build(context, context.snapshot)
-    )
+    if context.snapshot is None:
+        return []
+    fields = TELEMETRY_MESSAGES[name].build(context, context.snapshot)
     return [] if fields is None else [OutgoingMessage(name, fields)]
 
 

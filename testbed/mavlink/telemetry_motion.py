@@ -190,42 +190,21 @@ def nav_controller_output(context: VehicleContext, snapshot: TelemetrySnapshot) 
 
 
 def _target_fields(context: VehicleContext, snapshot: TelemetrySnapshot) -> Fields:
+    """Build the fields from the offset to the target, m, its course, rad, and the errors."""
     target, row = context.control.target, context.row
+    north = east = course = altitude_error = airspeed_error = crosstrack = 0.0
     if target is not None:
-        north, east, down = snapshot.position_ned[row]
-        return _error_fields(
-            (target.north - north, target.east - east),
-            target.course,
-            altitude_error=target.altitude + down,
-            airspeed_error=target.airspeed - to_finite(snapshot.sample.estimate.airspeed[row]),
-            crosstrack=target.crosstrack,
-        )
-    if row == 0 or context.control.mode is not FlightMode.FBWA:
-        return _error_fields(
-            (0.0, 0.0), 0.0, altitude_error=0.0, airspeed_error=0.0, crosstrack=0.0
-        )
-    formation, row = snapshot.sample.formation, row - 1
-    north, east, down = (to_finite(each) for each in formation.estimated_error_ned[row])
-    course = to_finite(formation.course_desired[row])
-    return _error_fields(
-        (-north, -east),
-        course,
-        altitude_error=down,
-        airspeed_error=to_finite(formation.speed_desired[row]) - to_finite(formation.speed[row]),
-        crosstrack=north * math.sin(course) - east * math.cos(course),
-    )
-
-
-def _error_fields(
-    offset: tuple[float, float],
-    course: float,
-    *,
-    altitude_error: float,
-    airspeed_error: float,
-    crosstrack: float,
-) -> Fields:
-    """Build the fields from the offset to the target, m, and the errors."""
-    north, east = offset
+        own_north, own_east, own_down = snapshot.position_ned[row]
+        north, east = target.north - own_north, target.east - own_east
+        course, crosstrack = target.course, target.crosstrack
+        altitude_error = target.altitude + own_down
+        airspeed_error = target.airspeed - to_finite(snapshot.sample.estimate.airspeed[row])
+    elif row > 0 and context.control.mode is FlightMode.FBWA:
+        formation, i = snapshot.sample.formation, row - 1
+        x, y, altitude_error = (to_finite(each) for each in formation.estimated_error_ned[i])
+        north, east, course = -x, -y, to_finite(formation.course_desired[i])
+        airspeed_error = to_finite(formation.speed_desired[i]) - to_finite(formation.speed[i])
+        crosstrack = x * math.sin(course) - y * math.cos(course)
     return {
         "nav_bearing": to_integer(math.degrees(math.remainder(course, math.tau)), I16),
         "target_bearing": to_integer(math.degrees(math.atan2(east, north)), I16),

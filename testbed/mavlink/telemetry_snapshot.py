@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
@@ -37,6 +38,11 @@ def to_finite(value: float) -> float:
     return 0.0 if math.isnan(value) else float(min(max(value, -MAX_MAGNITUDE), MAX_MAGNITUDE))
 
 
+def _rows_of(read: Callable[[Sample], Array]) -> cached_property[Rows]:
+    """Make an attribute of a snapshot that converts an array of its sample on first use."""
+    return cached_property(lambda snapshot: to_rows(read(snapshot.sample)))
+
+
 class TelemetrySnapshot:
     """The values of a sample that telemetry uses, each converted on first use.
 
@@ -45,6 +51,13 @@ class TelemetrySnapshot:
         boot_ms: simulation time, ms, modulo 2³².
     """
 
+    position_ned = _rows_of(lambda sample: sample.estimate.position_ned)  # (N, 3) m
+    velocity_ned = _rows_of(lambda sample: sample.estimate.velocity_ned)  # (N, 3) m/s over ground
+    euler = _rows_of(lambda sample: sample.estimate.euler)  # (N, 3) roll, pitch, yaw, rad
+    quaternion_xyzw = _rows_of(lambda sample: quaternion_xyzw(sample.estimate.euler))  # (N, 4)
+    rates_body = _rows_of(lambda sample: sample.estimate.rates_body)  # (N, 3) rad/s
+    wind_ned = _rows_of(lambda sample: sample.air.wind_ned)  # (N, 3) m/s, velocity of the air
+
     def __init__(self, sample: Sample, origin: NedOrigin) -> None:
         """Refer to a sample, which must not change."""
         self.sample = sample
@@ -52,34 +65,9 @@ class TelemetrySnapshot:
         self._origin = origin
 
     @cached_property
-    def position_ned(self) -> Rows:
-        """Estimated positions, (N, 3) m."""
-        return to_rows(self.sample.estimate.position_ned)
-
-    @cached_property
     def geodetic(self) -> Rows:
         """Estimated latitude deg, longitude deg and height above sea level m, (N, 3)."""
         return to_rows(geodetic_from_ned(self.sample.estimate.position_ned, self._origin))
-
-    @cached_property
-    def velocity_ned(self) -> Rows:
-        """Estimated velocities over ground, (N, 3) m/s."""
-        return to_rows(self.sample.estimate.velocity_ned)
-
-    @cached_property
-    def euler(self) -> Rows:
-        """Estimated roll, pitch and yaw, (N, 3) rad."""
-        return to_rows(self.sample.estimate.euler)
-
-    @cached_property
-    def quaternion_xyzw(self) -> Rows:
-        """Estimated attitudes as quaternions, (N, 4)."""
-        return to_rows(quaternion_xyzw(self.sample.estimate.euler))
-
-    @cached_property
-    def rates_body(self) -> Rows:
-        """Estimated body rates, (N, 3) rad/s."""
-        return to_rows(self.sample.estimate.rates_body)
 
     @cached_property
     def equivalent_airspeed(self) -> list[float]:
@@ -97,11 +85,6 @@ class TelemetrySnapshot:
         servos = self.sample.surfaces
         columns = (servos.aileron, servos.elevator, servos.throttle, servos.rudder)
         return to_rows(np.stack(columns, axis=1))
-
-    @cached_property
-    def wind_ned(self) -> Rows:
-        """Velocities of the air, (N, 3) m/s."""
-        return to_rows(self.sample.air.wind_ned)
 
     @cached_property
     def lost(self) -> list[bool]:

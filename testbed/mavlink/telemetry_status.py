@@ -58,7 +58,7 @@ _CAPABILITIES = (
 _OFFICIAL, _DEVELOPMENT = 255, 0  # FIRMWARE_VERSION_TYPE
 
 
-def heartbeat(context: VehicleContext) -> Fields:
+def heartbeat(context: VehicleContext, snapshot: TelemetrySnapshot | None = None) -> Fields:
     """HEARTBEAT, with the base_mode bits that ArduPlane sets for the mode."""
     control = context.control
     mode = control.mode
@@ -93,16 +93,11 @@ def sys_status(context: VehicleContext, snapshot: TelemetrySnapshot) -> Fields:
         "onboard_control_sensors_present": present,
         "onboard_control_sensors_enabled": present,
         "onboard_control_sensors_health": (present & ~failed) | _sensors(_FENCE),
-        "load": 0,
         "voltage_battery": volts,
         "current_battery": -1,
         "battery_remaining": charge,
-        "drop_rate_comm": 0,
-        "errors_comm": 0,
-        "errors_count1": 0,
-        "errors_count2": 0,
-        "errors_count3": 0,
-        "errors_count4": 0,
+        **dict.fromkeys(("load", "drop_rate_comm", "errors_comm"), 0),
+        **{f"errors_count{number}": 0 for number in range(1, 5)},
     }
 
 
@@ -132,13 +127,8 @@ def home_position(context: VehicleContext, snapshot: TelemetrySnapshot) -> Field
     """HOME_POSITION: the scenario's origin."""
     return {
         **_origin(context),
-        "x": 0.0,
-        "y": 0.0,
-        "z": 0.0,
+        **{f"{of}{axis}": 0.0 for of in ("", "approach_") for axis in "xyz"},
         "q": (1.0, 0.0, 0.0, 0.0),
-        "approach_x": 0.0,
-        "approach_y": 0.0,
-        "approach_z": 0.0,
         "time_usec": _boot_us(snapshot),
     }
 
@@ -195,14 +185,9 @@ def autopilot_version(context: VehicleContext, snapshot: TelemetrySnapshot) -> F
     return {
         "capabilities": capabilities,
         "flight_sw_version": firmware(context.version),
-        "middleware_sw_version": 0,
-        "os_sw_version": 0,
-        "board_version": 0,
-        "flight_custom_version": b"",
-        "middleware_custom_version": b"",
-        "os_custom_version": b"",
-        "vendor_id": 0,
-        "product_id": 0,
+        **dict.fromkeys(("middleware_sw_version", "os_sw_version", "board_version"), 0),
+        **{f"{of}_custom_version": b"" for of in ("flight", "middleware", "os")},
+        **dict.fromkeys(("vendor_id", "product_id"), 0),
         "uid": int.from_bytes(uid[:8], "little"),
         "uid2": uid,
     }

@@ -40,8 +40,7 @@ class VehicleClock:
 
     def __init__(self, attitudes: Sequence[Received]) -> None:
         """Find the starts of the vehicle's clock in its attitudes, which are in file order."""
-        order, received = orders(attitudes), receipts(attitudes)
-        boot = boot_times(attitudes)
+        order, received, boot = _orders(attitudes), _receipts(attitudes), _boot_times(attitudes)
         step, passed = np.diff(boot), np.diff(received)
         starts = (step < -_RESTART) | ((step > _RESTART) & (step - passed > _RESTART))
         first = np.concatenate([[0], np.flatnonzero(starts) + 1])
@@ -56,20 +55,22 @@ class VehicleClock:
             end = float(np.max(boot[k:stop])) + offsets[-1]
         self._offsets = np.array(offsets)
         self.starts = tuple((boot[first] + self._offsets)[1:].tolist())
-        times = self.from_boot_times(order, boot)
+        times = self.from_boot_times(attitudes)
         keep = increasing(times)
         if not keep.any():
             raise MavlinkError("no two times of ATTITUDE are close; the log is damaged")
         self._order, self._received, self._times = order[keep], received[keep], times[keep]
 
-    def from_boot_times(self, order: Array, boot: Array) -> Array:
-        """Convert times from the vehicle's boot, s, to log time."""
+    def from_boot_times(self, messages: Sequence[Received]) -> Array:
+        """Convert the vehicle's times in messages to log time (M,)."""
+        order, boot = _orders(messages), _boot_times(messages)
         epoch = np.maximum(np.searchsorted(self._first_orders, order, side="right") - 1, 0)
         times: Array = boot + self._offsets[epoch]
         return times
 
-    def from_receipt(self, order: Array, received: Array) -> Array:
-        """Interpolate log time between the attitudes received before and after."""
+    def from_receipt(self, messages: Sequence[Received]) -> Array:
+        """Interpolate log time (M,) between the attitudes received before and after."""
+        order, received = _orders(messages), _receipts(messages)
         after = np.searchsorted(self._order, order, side="right")
         last = len(self._order) - 1
         low, high = np.clip(after - 1, 0, last), np.clip(after, 0, last)
@@ -82,17 +83,17 @@ class VehicleClock:
         return times
 
 
-def orders(messages: Sequence[Received]) -> Array:
+def _orders(messages: Sequence[Received]) -> Array:
     """Return the places of messages in the file (M,)."""
     return np.array([one.order for one in messages])
 
 
-def receipts(messages: Sequence[Received]) -> Array:
+def _receipts(messages: Sequence[Received]) -> Array:
     """Return the receiver's times of messages (M,), s."""
     return np.array([one.time for one in messages], dtype=np.float64)
 
 
-def boot_times(messages: Sequence[Received]) -> Array:
+def _boot_times(messages: Sequence[Received]) -> Array:
     """Return the vehicle's times of messages (M,), s since its boot."""
     return 1e-3 * np.array([one.message.number("time_boot_ms") for one in messages])
 

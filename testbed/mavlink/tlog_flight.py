@@ -44,7 +44,7 @@ from testbed.mavlink.servo_outputs import (
     throttle_stick_source,
 )
 from testbed.mavlink.tlog import Tlog
-from testbed.mavlink.tlog_clock import Received, VehicleClock, boot_times, orders, receipts
+from testbed.mavlink.tlog_clock import Received, VehicleClock
 
 _ATTITUDE, _POSITION, _OUTPUTS = "ATTITUDE", "GLOBAL_POSITION_INT", "SERVO_OUTPUT_RAW"
 _HEARTBEAT = "HEARTBEAT"
@@ -120,11 +120,10 @@ class _Vehicle:
     params: dict[str, float] = field(default_factory=dict)
     sequences: list[int] = field(default_factory=list)
     other_ports: int = 0  # messages of outputs above the 16th
-    end: tuple[int, float] = (0, 0.0)  # place and time of the last message
+    end: Received = field(init=False)  # the last message
 
     def add(self, received: Received) -> None:
-        order, time, message = received
-        self.end = (order, time)
+        message, self.end = received.message, received
         self.sequences.append(message.sequence)
         if message.name == _OUTPUTS and message.fields["port"] != 0:
             self.other_ports += 1
@@ -216,9 +215,9 @@ def _message_table(
 ) -> tuple[MessageTable, int]:
     """Make a table, and count the messages whose times are out of order."""
     if "time_boot_ms" in messages[0].message.fields:
-        time = clock.from_boot_times(orders(messages), boot_times(messages))
+        time = clock.from_boot_times(messages)
     else:
-        time = clock.from_receipt(orders(messages), receipts(messages))
+        time = clock.from_receipt(messages)
     keep = increasing(time)
     table = np.array([[one.message.number(name) for name in fields] for one in messages])[keep]
     columns = {name: table[:, k] for k, name in enumerate(fields)}
@@ -243,7 +242,7 @@ def _check_one_vehicle(vehicle: _Vehicle, clock: VehicleClock) -> tuple[str, ...
     def table(name: str, *fields: str) -> tuple[Array, Array]:
         messages = vehicle.messages.get(name, [])
         values = [[one.message.number(field) for field in fields] for one in messages]
-        time = clock.from_boot_times(orders(messages), boot_times(messages))
+        time = clock.from_boot_times(messages)
         return time, np.array(values).reshape(len(messages), len(fields))
 
     time, attitude = table(_ATTITUDE, "roll", "pitch", "yaw")
@@ -357,7 +356,7 @@ def _mode_intervals(
     heartbeats: Sequence[Received],
     credible: Sequence[bool],
     clock: VehicleClock,
-    log_end: tuple[int, float],
+    last_message: Received,
 ) -> tuple[ModeInterval, ...]:
     """Find each mode from its first heartbeat to its last.
 
@@ -367,9 +366,9 @@ def _mode_intervals(
         heartbeats: in file order.
         credible: whether each has a credible time; others are left out.
         clock: of the vehicle.
-        log_end: place and time of the last message.
+        last_message: of the vehicle.
     """
-    times = clock.from_receipt(orders(heartbeats), receipts(heartbeats)).tolist()
+    times = clock.from_receipt(heartbeats).tolist()
     modes: list[ModeInterval] = []
     changed = False  # by a heartbeat that is left out
     for time, heartbeat, valid in zip(times, heartbeats, credible, strict=True):
@@ -381,8 +380,7 @@ def _mode_intervals(
         else:
             modes.append(ModeInterval(mode, time, time))
             changed = False
-    order, received = log_end
-    end = float(clock.from_receipt(np.array([order]), np.array([received]))[0])
+    end = float(clock.from_receipt([last_message])[0])
     if modes and not changed and end - modes[-1].end <= _HEARTBEAT_TIMEOUT:
         modes[-1] = ModeInterval(modes[-1].mode, modes[-1].start, end)
     return tuple(modes)

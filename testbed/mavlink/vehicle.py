@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping
 
 from testbed.core.records import Event, RunInfo
@@ -62,9 +61,9 @@ class MavlinkVehicle:
         services = Services(self._context, self._schedule)
         manual = ManualControl(self._context)
         parts = (self._parameters, self._missions, commands, services, manual)
-        self._handlers: Mapping[str, Handler] = dict(
-            itertools.chain.from_iterable(part.handlers.items() for part in parts)
-        )
+        self._handlers: Mapping[str, Handler] = {
+            name: handler for part in parts for name, handler in part.handlers.items()
+        }
         self._item = self._active_item()
         self._heartbeat_s = float("-inf")
 

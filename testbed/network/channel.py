@@ -20,6 +20,7 @@ from testbed.network.links import (
     EMPIRICAL,
     FOUR_STATE,
     GILBERT_ELLIOTT,
+    JITTERS,
     LINK_PARAMETERS,
     LINK_STATE,
     LOGNORMAL,
@@ -27,8 +28,6 @@ from testbed.network.links import (
     NETEM_ONE,
     NORMAL,
     PACKET,
-    PARETO,
-    PARETONORMAL,
     REORDER,
     START,
     UNIFORM,
@@ -49,14 +48,6 @@ from testbed.scenario.network import (
 )
 from testbed.scenario.references import find_data
 
-JITTERS = {
-    "uniform": UNIFORM,
-    "normal": NORMAL,
-    "lognormal": LOGNORMAL,
-    "pareto": PARETO,
-    "paretonormal": PARETONORMAL,
-    "empirical": EMPIRICAL,
-}
 NETEM_LONGEST_S = 0x7FFFFFFF / delays.NANOSECONDS  # netem has 32 bits for a jitter
 
 
@@ -175,7 +166,7 @@ def _set_jitter(record: Records, jitter: Jitter, tables: list[Array]) -> None:
     record["in_order"] = jitter.in_order
     if not (jitter.spread_s or jitter.distribution == "empirical"):
         return
-    kind = JITTERS[jitter.distribution]
+    kind = JITTERS.index(jitter.distribution)
     record["jitter"], record["spread"] = kind, jitter.spread_s
     if record["netem"]:
         record["spread"] = min(jitter.spread_s, NETEM_LONGEST_S)

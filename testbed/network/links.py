@@ -35,7 +35,9 @@ class PacketOutcome(IntEnum):
 
 
 BERNOULLI, GILBERT_ELLIOTT, FOUR_STATE = range(1, 4)  # kinds of loss; 0: none
-NO_JITTER, UNIFORM, NORMAL, LOGNORMAL, PARETO, PARETONORMAL, EMPIRICAL = range(7)
+# Kinds of jitter, by their place.
+JITTERS = ("none", "uniform", "normal", "lognormal", "pareto", "paretonormal", "empirical")
+NO_JITTER, UNIFORM, NORMAL, LOGNORMAL, PARETO, PARETONORMAL, EMPIRICAL = range(len(JITTERS))
 # Random events with a probability and a correlation; netem correlates delays in the same way.
 LOSS, DUPLICATE, CORRUPT, REORDER, DELAY = range(5)
 NETEM_ONE = 0xFFFFFFFF  # netem's number for a probability or correlation of one

@@ -8,7 +8,7 @@ import numpy as np
 
 from testbed.core.compile import entry, kernel
 from testbed.core.copies import copy_content
-from testbed.core.records import MESSAGE, Array, BoolArray, Record, Records, allocate
+from testbed.core.records import MESSAGE, Array, BoolArray, Record, Records
 from testbed.network.clocks import clock_error
 from testbed.network.link_statistics import record_packet
 from testbed.network.links import Numbers
@@ -28,11 +28,6 @@ QUEUED_MESSAGE = np.dtype(
     ],
     align=True,
 )
-
-
-def allocate_queue(capacity: int) -> Records:
-    """Return space for C messages on their way, (C,) of QUEUED_MESSAGE."""
-    return allocate(QUEUED_MESSAGE, capacity)
 
 
 @entry
@@ -138,26 +133,19 @@ def deliver_due(
             last_s = arrival_s
     if due == 0:
         return
-    if in_order:  # as most broadcasts arrive
-        for k in range(count):
-            queued = queue[k]
-            if queued.arrival_s <= latest_s:
-                i, m = queued.follower, queued.sender
-                if _deliver(queued, received[i, m]):
-                    statistics[i, m].overtaken += 1
-    else:
-        order = np.empty((2, due), np.int64)
-        due = 0
-        for k in range(count):
-            if queue[k].arrival_s <= latest_s:
-                order[0, due] = k
-                due += 1
-        _sort_by_arrival(queue, order, due)
-        for k in range(due):
-            queued = queue[order[0, k]]
-            i, m = queued.follower, queued.sender
-            if _deliver(queued, received[i, m]):
-                statistics[i, m].overtaken += 1
+    rows, times_s = np.empty(due, np.int64), np.empty(due)
+    due = 0
+    for k in range(count):
+        if queue[k].arrival_s <= latest_s:
+            rows[due], times_s[due] = k, queue[k].arrival_s
+            due += 1
+    if not in_order:  # most broadcasts arrive in order
+        rows = rows[np.argsort(times_s, kind="mergesort")]  # which is stable
+    for row in rows:
+        queued = queue[row]
+        i, m = queued.follower, queued.sender
+        if _deliver(queued, received[i, m]):
+            statistics[i, m].overtaken += 1
     left = 0
     for k in range(count):
         if queue[k].arrival_s > latest_s:
@@ -179,26 +167,3 @@ def _deliver(queued: Record, link: Record) -> bool:
         link.stamp_s = queued.message.stamp_s
         copy_content(queued.message, link)
     return bool(queued.number < link.number)
-
-
-@kernel
-def _sort_by_arrival(queue: Records, order: Numbers, due: int) -> None:
-    """Sort the first `due` of order[0] by arrival, stably, by merging ever longer runs."""
-    width = 1
-    while width < due:
-        for left in range(0, due, 2 * width):
-            middle, right = min(left + width, due), min(left + 2 * width, due)
-            i, j = left, middle
-            for k in range(left, right):
-                take_left = i < middle
-                if take_left and j < right:
-                    take_left = queue[order[0, i]].arrival_s <= queue[order[0, j]].arrival_s
-                if take_left:
-                    order[1, k] = order[0, i]
-                    i += 1
-                else:
-                    order[1, k] = order[0, j]
-                    j += 1
-        for k in range(due):
-            order[0, k] = order[1, k]
-        width *= 2

@@ -31,7 +31,7 @@ from testbed.network.links import Numbers, Outcomes
 from testbed.network.packet_outcomes import transmit_broadcast
 from testbed.network.packet_queue import (
     NO_MESSAGE,
-    allocate_queue,
+    QUEUED_MESSAGE,
     deliver_due,
     enqueue_broadcast,
     send_and_count,
@@ -100,7 +100,7 @@ class Radio:
         self._departures_s = initial_departures(channel)
         # messages on their way, and the most that one broadcast adds
         self._counts = np.array([0, 2 * n * aircraft], dtype=np.int64)
-        self._queue = allocate_queue(4 * n * aircraft)
+        self._queue = allocate(QUEUED_MESSAGE, 4 * n * aircraft)
         self.deliver_call = Call(deliver_due, *self._received, self._counts, NOW)
         broadcast = self.senders, self.muted, self.sent_s, self.messages
         if self._encoder is None:
@@ -138,7 +138,7 @@ class Radio:
 
     def _grow_queue(self) -> None:
         """Double the space for messages on their way."""
-        queue, count = allocate_queue(2 * len(self._queue)), self._counts[0]
+        queue, count = allocate(QUEUED_MESSAGE, 2 * len(self._queue)), self._counts[0]
         queue[:count] = self._queue[:count]
         self._queue = queue
         self.deliver_call.rebind(*self._received, self._counts)

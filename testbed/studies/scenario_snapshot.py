@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from testbed.autopilot.param_file import read_values
+from testbed.autopilot.param_file import read_param_file
 from testbed.core.errors import InputError
 from testbed.core.input_files import MAX_TABLE_BYTES, read_bounded
 from testbed.scenario import Scenario, code_references, find_aircraft, find_code, find_data
@@ -97,7 +97,8 @@ def _file_values(scenario: Scenario) -> dict[str, Any]:
             if file.suffix == ".yaml":
                 values[name] = plain(read(file))
             elif file.suffix == ".param":
-                values[name] = {key: each.value for key, each in read_values(file).items()}
+                given = read_param_file(file).values
+                values[name] = {key: each.value for key, each in given.items()}
     return values
 
 
