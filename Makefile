@@ -93,7 +93,7 @@ check-all: test release
 	@TESTBED_PREPARED=1 $(BIN)/pytest -q -n $(JOBS) tests/contract/test_prepare.py
 	@TESTBED_STUDIES=1 $(BIN)/pytest -q tests/contract/test_sweep.py
 	@TESTBED_KILLS=200 TESTBED_CUTS=40 $(BIN)/pytest -q -n $(JOBS) tests/contract/test_endings.py \
-		tests/contract/test_recover.py tests/contract/test_record.py
+		tests/contract/test_recover.py
 	@TESTBED_DOCS=1 TESTBED_LAWS=1 $(BIN)/pytest -q -n $(JOBS) tests/contract/test_readme.py \
 		tests/contract/test_own_law.py
 	@TESTBED_ARDUPLANE_WHOLE=1 $(BIN)/pytest -q tests/contract/test_arduplane.py \

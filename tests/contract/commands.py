@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import shlex
 import subprocess
 import sys
 import tempfile
@@ -9,11 +10,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from snapshot import check_snapshot
 from waiting import TIMEOUT_S
 
 from testbed.cli.main import main
 
 ROOT = Path(__file__).parents[2]
+WRONG = ROOT / "tests" / "data" / "wrong_commands"
+LONG, DIGITS = "n" * 300, "9" * 400  # stand for {long} and {digits}
 
 
 @dataclass(frozen=True)
@@ -61,6 +65,29 @@ def call_command(*arguments, cwd, code, columns):
     assert exit_code == code, (exit_code, done.stderr + done.stdout)
     assert "Traceback" not in done.stderr
     return done
+
+
+def refuse_all(name, cwd):
+    """Run each line of tests/data/wrong_commands/<name>.txt: exit code 2, and nothing written.
+
+    The errors are those of a snapshot.
+    """
+    before, blocks = times_of_files(cwd), []
+    for line in (WRONG / f"{name}.txt").read_text("utf-8").splitlines():
+        words = shlex.split(line.replace("{long}", LONG).replace("{digits}", DIGITS))
+        error = call_command(*words, cwd=cwd, code=2, columns=200).stderr
+        assert times_of_files(cwd) == before, line
+        short = error.replace(f"{cwd}", ".").replace(LONG, "{long}").replace(DIGITS, "{digits}")
+        rows = [each for each in short.splitlines() if each.startswith("error: ")]
+        assert len(rows) == ("Usage: " not in short), error
+        blocks += [f"$ testbed {line}", *(each[:200] for each in rows or short.splitlines()), ""]
+    check_snapshot(f"wrong_commands_{name}", "\n".join(blocks))
+
+
+def times_of_files(folder):
+    """Return the time of the last write of every file and folder below a folder."""
+    found = {path.relative_to(folder).as_posix(): path for path in folder.rglob("*")}
+    return {name: path.lstat().st_mtime_ns for name, path in found.items()}
 
 
 def call(arguments, *, cwd, columns, out, err):

@@ -11,22 +11,6 @@ from testbed.scenario import load_scenario, set_duration
 
 SECONDS = 20.0
 NOISY = ("leader.sensors=gps-ins", "fleet.*.sensors=gps-ins")
-# A follower whose slot lies below the ground.
-DIVE = """
-scenario: {schema: 2, name: dive, duration_s: 30}
-leader:
-  aircraft: rascal110
-  start: {altitude_m: 20}
-  path:
-    kind: mission
-    airspeed_mps: 22
-    legs: [{kind: waypoints, points_m: [[2000, 0, 20], [4000, 0, 20]]}]
-fleet:
-  - {name: uav1, aircraft: rascal110, start_m: [-10, 5, 0]}
-formation:
-  offsets_m: {uav1: [-10, 5, 40]}
-  leader_gains: {uav1: 1}
-"""
 
 
 class Collector:

@@ -234,16 +234,15 @@ def step(records):
 """
 
 
-@pytest.mark.parametrize("place", ["package", "home", "nowhere", "wanted"])
+@pytest.mark.parametrize("place", ["home", "nowhere", "wanted"])
 def test_constant_of_core_is_never_stale(package, tmp_path, place):
     """Wherever machine code is kept, and where it is not, a change compiles anew."""
     frames = Path(compiling.__file__).parent / "frames.py"
     (package / "flight" / "stepping.py").write_text(GRAVITY_ENTRY)
     home, wanted = tmp_path / "home", tmp_path / "wanted"
     home.mkdir()
-    options, kept = {"HOME": str(home)}, {package / "__pycache__"}
-    if place != "package":
-        options["mount"], kept = read_only(package), {home / ".cache" / "testbed"}
+    options = {"HOME": str(home), "mount": read_only(package)}
+    kept = {home / ".cache" / "testbed"}
     if place == "nowhere":
         options["HOME"], kept = str(package / "nonexistent"), set()
     if place == "wanted":
@@ -271,13 +270,6 @@ def test_command_flies_from_a_read_only_installation(tmp_path):
         NUMBA_OPT="0",  # compiles in a third of the time
     )
     assert json.loads(done)["outcome"] == "completed"
-
-
-def test_entry_without_cache_is_compiled(package, tmp_path):
-    (tmp_path / "file").touch()
-    nowhere = str(tmp_path / "file" / "cache")
-    assert printed(package, NUMBA_CACHE_DIR=nowhere) == "[1.0, 1.0] 0"
-    assert printed(package, NUMBA_CACHE_DIR=nowhere) == "[1.0, 1.0] 0"
 
 
 def test_only_compiling_is_announced_and_once():

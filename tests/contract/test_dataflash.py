@@ -221,44 +221,6 @@ def test_dataflash_definitions_may_follow_messages():
     assert content(b"".join([*MESSAGES, *DEFINITIONS])) == WHOLE
 
 
-def read_simply(data):
-    """Read the messages of an undamaged log one by one."""
-    forms, found, at = {}, [], 0
-    while at < len(data):
-        kind = data[at + 2]
-        if kind == 0x80:
-            number, length, _, form, _ = struct.unpack("<BB4s16s64s", data[at + 3 : at + 89])
-            forms[number] = (length, coded(form.strip(b"\0").decode()))
-            at += 89
-        else:
-            length, form = forms[kind]
-            found.append((kind, struct.unpack(form, data[at + 3 : at + length])))
-            at += length
-    return found
-
-
-def test_dataflash_agrees_with_simple_reader():
-    rng = random.Random(SEED)
-    for _ in range(20):
-        types = {}
-        for kind in rng.sample(range(1, 128), 12):
-            form = "".join(rng.choices("bBhHiIqQ", k=rng.randrange(1, 17)))
-            types[kind] = (f"T{kind}", form, ",".join(f"f{k}" for k in range(len(form))))
-        data = b"".join(definition(kind, *fields) for kind, fields in types.items())
-        for kind in rng.choices(list(types), k=300):
-            size = struct.calcsize(coded(types[kind][1]))
-            data += HEAD + bytes([kind]) + rng.randbytes(size)
-        wanted = {name: labels.split(",") for name, _, labels in types.values()}
-        read = read_messages(data, wanted)
-        assert (read.skipped, read.cut) == (0, 0)
-        plain = read_simply(data)
-        for kind, (name, _, labels) in types.items():
-            rows = [row for number, row in plain if number == kind]
-            assert (name in read.tables) == bool(rows)
-            for k, label in enumerate(labels.split(",") if rows else ()):
-                assert read.tables[name].numbers[label].tolist() == [float(r[k]) for r in rows]
-
-
 def damaged(rng):
     data = bytearray(LOG)
     for _ in range(rng.randrange(1, 8)):

@@ -37,23 +37,6 @@ def stacked(name, record, field, *, since):
 # parameters
 
 
-def test_offsets_and_graphs_are_the_papers():
-    one, two, three = (load_scenario(name).formation for name in EXPERIMENTS)
-    assert one.offsets_m == {"uav1": (-10.0, -10.0, 20.0)}
-    assert one.leader_gains == {"uav1": (150.0, 150.0, 45.0)}
-    assert two.offsets_m == {"uav1": (-10.0, 10.0, 20.0), "uav2": (-10.0, -10.0, -20.0)}
-    assert set(two.leader_gains.values()) == {(105.0, 105.0, 31.5)}
-    assert [dict(gains) for gains in two.neighbour_gains.values()] == [
-        {"uav2": (50.0, 50.0, 15.0)},
-        {"uav1": (50.0, 50.0, 15.0)},
-    ]
-    assert {name: offset[:2] for name, offset in three.offsets_m.items()} == {
-        "uav1": (-10.0, -10.0),
-        "uav2": (-10.0, 10.0),
-    }
-    assert three.altitudes_m == {"uav1": 80.0, "uav2": 120.0}
-
-
 @pytest.mark.parametrize(
     ("name", "about"),
     [("experiment-1", {"barrier", "slot"}), ("experiment-2", {"barrier"})],

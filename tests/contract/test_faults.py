@@ -394,6 +394,7 @@ def test_exit_code_of_a_loss(changes, code, whole, tmp_path):
     words = ("run", path, *sets, "--json", where, "--out", tmp_path / "out")
     done = CliRunner().invoke(app, list(map(str, words)))
     assert done.exit_code == code, done.output
+    assert "uav1: lost" in done.output
     metrics = json.loads(where.read_text())
     assert metrics["outcome"] == ("lost" if code else "completed")
     assert (metrics["simulated_s"] == 15.0) == whole

@@ -10,7 +10,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from testbed.reports.figure_spec import stack_names
 from testbed.views import matplotlib_backend
 from testbed.views.panels import BLACK, ON_DARK, ON_WHITE, Line, Panel, PanelGrid, Span, rgb
-from testbed.views.scene import BACKDROP, aircraft_colour
+from testbed.views.scene import BACKDROP
 
 # linear sRGB to cones and to Oklab (B. Ottosson, 2020)
 TO_CONES = np.array(
@@ -70,11 +70,6 @@ def test_colours_differ_for_all_readers(colours, background):
     luminance = np.append(values, linear([background]), axis=0) @ [0.2126, 0.7152, 0.0722] + 0.05
     contrast = luminance[:-1] / luminance[-1]
     assert np.maximum(contrast, 1.0 / contrast).min() >= 2.95
-
-
-def test_twenty_followers_have_twenty_colours():
-    assert len({aircraft_colour(k) for k in range(21)}) == 21
-    assert aircraft_colour(21) == aircraft_colour(1)
 
 
 def drawn(*panels, inches=(11.0, 4.0)):

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import yaml
 from commands import environment
+from run_flight import Collector
 from waiting import TIMEOUT_S
 
 import testbed
@@ -35,23 +36,8 @@ BUSY = [
 SEEN = ("truth", "estimate", "air", "command", "surfaces", "formation", "links")
 
 
-class Keeper:
-    """Keeps all arrays of all frames."""
-
-    def begin(self, info):
-        """Nothing was seen."""
-        self.frames = []
-
-    def observe(self, sample):
-        """Keep it."""
-        self.frames.append(sample)
-
-    def end(self, summary, events):
-        """Nothing."""
-
-
 def fly(scenario, **how):
-    keeper = Keeper()
+    keeper = Collector()
     testbed.run(scenario, observers=[keeper], **({"write": False} | how))
     return keeper.frames
 
@@ -92,11 +78,6 @@ def test_telemetry(scenario, alone):
         address = parse_address(f"udpout:127.0.0.1:{ground.getsockname()[1]}")
         assert_same(alone, fly(scenario, external=replace(NO_EXTERNAL, mavlink=(address,))))
         assert ground.recv(300)[0] == 0xFD  # a message was sent
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux")
-def test_processes(scenario, alone):
-    assert_same(alone, fly(scenario, processes=2))
 
 
 def backwards(value):

@@ -3,7 +3,6 @@
 import io
 import json
 import math
-import os
 import re
 import statistics
 from typing import get_type_hints
@@ -14,10 +13,9 @@ from record_flight import event, run_samples
 from rich.console import Console
 from snapshot import check_snapshot
 
-from testbed.core.errors import InputError
 from testbed.metrics import MetricsObserver
 from testbed.metrics.check import check_metrics
-from testbed.metrics.document import finalise, to_json, write_json
+from testbed.metrics.document import finalise, to_json
 from testbed.metrics.facts import (
     describe_arduplanes,
     describe_commands,
@@ -146,29 +144,6 @@ def test_document_refuses_unknown_outcome_and_nan():
         document(outcome="landed")
     with pytest.raises(ValueError, match="JSON"):
         to_json({"rms_m": math.nan})
-
-
-def test_write_json_that_fails_keeps_the_old_file(tmp_path, monkeypatch):
-    path = tmp_path / "metrics.json"
-    write_json(path, {"a": 1})
-    write_json(path, {"a": "ç"})
-    assert json.loads(path.read_text(encoding="utf-8")) == {"a": "ç"}
-
-    def fail(*_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(os, "replace", fail)
-    with pytest.raises(InputError, match=r"metrics\.json: cannot be written: No space left"):
-        write_json(path, {"a": 3})
-    assert json.loads(path.read_text(encoding="utf-8")) == {"a": "ç"}
-    assert list(tmp_path.iterdir()) == [path]
-
-
-def test_write_json_gives_the_mode_of_other_files(tmp_path):
-    other = tmp_path / "other"
-    other.touch()
-    write_json(tmp_path / "metrics.json", {})
-    assert (tmp_path / "metrics.json").stat().st_mode == other.stat().st_mode
 
 
 @pytest.mark.parametrize("width", WIDTHS)

@@ -7,10 +7,9 @@ import pytest
 from commands import call
 from record_flight import run_info
 from test_report import synthetic
-from test_run_list import WaitsTooLongError, time_limit
+from test_run_list import time_limit
 from waiting import TIMEOUT_S
 
-from testbed.core import input_files
 from testbed.logs.file_record import RECORD_NAME, TAIL_NAME, record_files
 from testbed.logs.run_directory import LOG_NAME, METRICS_NAME, SCENARIO_NAME
 from testbed.reports import figures
@@ -72,13 +71,3 @@ def test_no_command_waits_for_a_pipe(tmp_path, monkeypatch, name):
         code, text = outcome(words, tmp_path, run)
         assert code in (0, 2, 3) and "Traceback" not in text, (words, code, text)
     assert (run / name).is_fifo()  # and the run with it
-
-
-@pytest.mark.parametrize("words", [each for each in COMMANDS if each[0] in ("list", "prune")])
-def test_this_test_finds_a_command_that_waits(tmp_path, monkeypatch, words):
-    """If files were opened as usual, as they once were."""
-    monkeypatch.setattr(input_files.os, "O_NONBLOCK", 0)
-    monkeypatch.setattr("test_pipes.TIMEOUT_S", 3.0)
-    run = run_with_pipe(tmp_path, LOG_NAME, monkeypatch)
-    with pytest.raises(WaitsTooLongError):
-        outcome(words, tmp_path, run)

@@ -485,6 +485,7 @@ def test_fixed_rates_of_commands_are_checked(tmp_path, monkeypatch):
     [
         ("formation.a=100", "formation.a has a gain of 100 1/s; .*it is 4, and above 0.5"),
         ("formation.c={per_speed_squared: 1}", "formation.c has a gain of 900 1/s"),
+        ("formation.c=1000", "formation.c has a gain of 1000 1/s"),
         ("formation.speed_pole_per_s=60", "formation.speed_pole_per_s has a gain of 60 1/s"),
         ("formation.a=1e-5", "formation.a has a gain of 1e-05 1/s: too small to act"),
         ("formation.k=1e-5", "formation.k has a gain of 1e-05 m/s: too small to act"),
@@ -495,22 +496,3 @@ def test_fixed_rates_of_commands_are_checked(tmp_path, monkeypatch):
 def test_gains_far_from_usable_are_warned_of(setting, text):
     found = [each for _, each in warnings("simulation-3", setting)]
     assert [each for each in found if re.search(text, each)]
-
-
-@pytest.mark.parametrize(
-    "setting",
-    [
-        "formation.a=1e6",
-        "formation.c=1e6",
-        "formation.speed_pole_per_s=1e6",
-        "formation.leader_gains.uav1=-1",
-        "formation.leader_gains.uav1=1e7",
-        "controller.gains.course.p=1e5",
-        "controller.gain_scale=1e6",
-        "leader.path.airspeed_mps=1000",
-    ],
-)
-def test_absurd_gains_are_refused(setting):
-    key = setting.partition("=")[0]
-    with pytest.raises(ScenarioError, match=rf"{key}: is .* \(write a number at"):
-        load_scenario("simulation-3", [setting])

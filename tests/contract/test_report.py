@@ -1,15 +1,13 @@
 """Reports of runs: figures, numbers of the run, edge cases, killed runs."""
 
 import base64
-import itertools
 import json
 import re
-import shutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from commands import call_command
+from commands import call_command, refuse_all
 from record_flight import event, run_info, run_samples
 from report_pages import (
     CHROMIUM,
@@ -32,7 +30,6 @@ from testbed.metrics import MetricsObserver
 from testbed.metrics.document import finalise
 from testbed.network.link_statistics import initial_statistics, summarise
 from testbed.reports import figures, read_run, run_figures, run_page, save_figures, write_page
-from testbed.reports.figure_spec import AXIS_IN, LETTER_IN, NAME_LINES, stack_names
 from testbed.reports.figures_control_network_wind import AGE_INTERVALS, interval_statistics
 from testbed.reports.html import render_page
 from testbed.reports.page import head_html
@@ -44,7 +41,6 @@ from testbed.reports.plot_selection import (
     percentiles,
     select_followers,
 )
-from testbed.views.panels import Span
 
 ALWAYS = {"trajectory", "altitude", "commands"}
 FOLLOWED = ALWAYS | {"corner", "relative", "relative-ned", "error", "speed", "barrier"}
@@ -218,31 +214,11 @@ def test_command_writes_report_and_figures(flown, tmp_path, only, ending, start)
     assert [path.read_bytes() for path in again] == [files[path.name] for path in again]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["nowhere"], "neither a run directory"),
-        (["{run}", "--out", "page.txt"], "write a name that ends in .html"),
-        (["{run}", "--from", "5", "--to", "5"], "--from 5: not before --to 5"),
-        (["{run}", "--from", "99"], "write times between 0 and 12 s"),
-        (["{run}", "--format", "pdf"], "is the format of --figures DIR"),
-        (["{run}", "--figures", "f", "--format", "gif"], "write one of png, pdf, svg"),
-        (["{run}", "--out", "gone/page.html"], "there is no folder"),
-        (["{run}", "--figures", "{run}/run.mcap"], "this is a file"),
-    ],
-)
-def test_command_bad_input_is_an_error(flown, tmp_path, only, arguments, message):
-    only("altitude")
-    given = [each.format(run=flown) for each in arguments]
-    given += [] if "--out" in given else ["--out", "page.html"]
-    done = call_command("report", *given, cwd=tmp_path, code=2, columns=200)
-    assert message in done.stderr
-
-
-def test_run_without_a_log_is_an_error(flown, tmp_path):
-    shutil.copy(flown / "metrics.json", tmp_path)
-    done = call_command("report", tmp_path, cwd=tmp_path, code=2, columns=200)
-    assert "no run.mcap in there" in done.stderr
+def test_command_bad_input_is_an_error(tmp_path):
+    synthetic(tmp_path / "run")
+    (tmp_path / "bare").mkdir()
+    (tmp_path / "bare" / "metrics.json").write_text("{}")
+    refuse_all("report", tmp_path)
 
 
 def test_log_without_samples_is_an_error(tmp_path):
@@ -314,19 +290,6 @@ def test_problems_are_marked_in_words(tmp_path, only):
     close, _, lost = re.findall(r"<li.*?</li>", head_html(ill))[-3:]
     assert '<li class="bad">' in close and "closer than a wingspan, " in close
     assert '<li class="bad"><b>1</b>' in lost and "uav3 at 1.2 s" in lost
-
-
-def test_window_names_do_not_overlap():
-    spans = [Span(10.0 * k, 10.0 * k + 10.0, f"window-{k}") for k in range(60)]
-    drawn = stack_names(spans, 600.0)
-    assert [each.start for each in drawn] == [each.start for each in spans]
-    per_letter = LETTER_IN / AXIS_IN * 600.0
-    for one, other in itertools.combinations([each for each in drawn if each.name], 2):
-        apart = abs(one.start - other.start) >= len(one.name) * per_letter
-        assert apart or one.level != other.level
-    assert {each.level for each in drawn if each.name} == set(range(NAME_LINES))
-    few = stack_names(spans[:60:20], 600.0)
-    assert [each.level for each in few] == [0, 0, 0]
 
 
 def test_many_followers_are_a_band_and_the_worst(tmp_path, only):

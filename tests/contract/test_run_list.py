@@ -9,7 +9,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
-from commands import call_command
+from commands import call_command, refuse_all
 from record_flight import record, run_info, run_samples
 
 from testbed.cli.report import default_report
@@ -280,23 +280,9 @@ def test_prune_without_yes_deletes_nothing(logs, tmp_path):
     assert files(logs) == before
 
 
-@pytest.mark.parametrize(
-    ("words", "reason"),
-    [
-        ((), "write --older 30d, --size 5GB or --keep 3"),
-        (("--older", "30x"), "--older 30x: write a time in hours, days or weeks"),
-        (("--older", "9" * 30 + "d"), "write a time in hours, days or weeks"),
-        (("--older", "100001w"), "or 4w, at most 100,000w"),
-        (("--size", "many"), "--size many: write a size"),
-        (("--size", "9" * 400 + "GB"), "GB, at most 100,000GB"),
-        (("--keep", "0"), "--keep 0: write a whole number above 0"),
-        (("nowhere", "--keep", "1"), "nowhere: there is no such folder"),
-    ],
-)
-def test_prune_with_wrong_options_is_an_error(logs, tmp_path, words, reason):
-    done = call_command("prune", *words, cwd=tmp_path, code=2, columns=120)
-    assert reason in done.stderr
-    assert len(list_runs(logs)) == 5
+@pytest.mark.usefixtures("logs")
+def test_prune_with_wrong_options_is_an_error(tmp_path):
+    refuse_all("prune", tmp_path)
 
 
 def test_list_runs_as_table_and_json(logs, tmp_path):
@@ -306,8 +292,6 @@ def test_list_runs_as_table_and_json(logs, tmp_path):
     runs = json.loads(text)["runs"]
     assert [each["scenario"] for each in runs] == ["far", *["near"] * 4]
     assert runs[0]["size_bytes"] == list_runs(logs)[0].size
-    done = call_command("list", "--runs", "nowhere", cwd=tmp_path, code=2, columns=120)
-    assert "nowhere: there is no such folder" in done.stderr
 
 
 def test_list_json_has_all_names(tmp_path):

@@ -9,36 +9,10 @@ from testbed.scenario import dump, find_data, json_schema, load_scenario, loads
 
 FOLDER = Path(__file__).parents[1] / "data" / "scenarios"
 MINIMAL = (FOLDER / "minimal.yaml").read_text()
-TIMED = "kind: time, name: a, velocity_mps: [1, 0, 0], at_s: 5, ramp_s: 2"
-PLACED = "kind: front, name: b, velocity_mps: [1, 0, 0], at_m: [0, 9], towards_deg: 9, length_m: 20"
 
 
 def read(air):
     return loads(f"{MINIMAL}air: {{{air}}}\n")
-
-
-def test_air_default_is_calm():
-    air = loads(MINIMAL).air
-    assert (air.wind.speed_mps, air.wind.profile.kind, air.wind.file) == (0.0, "uniform", None)
-    assert air.wind.max_gap_s == 10.0
-    assert (air.turbulence.model, air.turbulence.intensity) == ("none", "moderate")
-    rest = air.turbulence.model_dump(exclude={"model", "intensity"})
-    assert set(rest.values()) == {None}
-    assert air.gusts == ()
-    assert air.wake is None
-
-
-def test_profiles_and_gusts_have_documented_defaults():
-    air = read(
-        f"wind: {{profile: {{kind: log}}}}, gusts: [{{{TIMED}}}, {{{PLACED}}}], wake: {{}}"
-    ).air
-    assert (air.wind.profile.height_m, air.wind.profile.roughness_m) == (10.0, 0.03)
-    power = read("wind: {profile: {kind: power}}").air.wind.profile
-    assert (power.height_m, power.exponent) == (10.0, 0.143)
-    timed, placed = air.gusts
-    assert timed.shape == placed.shape == "pulse"
-    assert (placed.at_s, placed.speed_mps) == (0.0, None)
-    assert (air.wake.core_spans, air.wake.decay_s, air.wake.memory_s) == (0.05, None, 10.0)
 
 
 @pytest.mark.parametrize("model", ["dryden", "von-karman", "coherent"])

@@ -26,32 +26,6 @@ def error_of(network, overrides=()):
     return str(caught.value)
 
 
-def test_network_default_is_perfect():
-    network = loads(MINIMAL).network
-    assert (network.delay_s, network.message_bytes) == (0.0, 100)
-    assert network.links == network.transmitter_off_s == network.broadcast == network.clocks == {}
-    assert (network.partitions, network.tdma) == ((), None)
-    rest = network.link("leader", "uav1").model_dump(exclude={"delay_s"})
-    assert set(rest.values()) == {None}
-
-
-def test_network_sections_have_documented_defaults():
-    network = read(
-        f"delay_s: 1, jitter: {{spread_s: 0.1}}, loss: {{{BURSTS}}}, reorder: 0.1, "
-        "rate: {bit_per_s: 9600}, slots: {every_s: 0.1}, shadowing: {loss: []}, "
-        "links: {leader: {uav1: {loss: {kind: four-state, p13: 0.1, p31: 0.2}}}}"
-    ).network
-    assert (network.jitter.distribution, network.jitter.correlation) == ("uniform", 0.0)
-    assert (network.jitter.file, network.jitter.in_order) == (None, False)
-    assert (network.loss.loss_bad, network.loss.loss_good) == (1.0, 0.0)
-    assert (network.reorder.gap, network.reorder.correlation) == (1, 0.0)
-    assert (network.rate.overhead_bytes, network.rate.queue_packets) == (0, 1000)
-    assert (network.slots.first_s, network.slots.packets) == (0.0, 1)
-    assert network.shadowing.antenna == "below"
-    four = network.links["leader"]["uav1"].loss
-    assert (four.p32, four.p23, four.p14) == (0.0, 1.0, 0.0)
-
-
 def test_number_stands_for_probability_or_pair():
     network = read("delay_s: 1, loss: 0.3, corrupt: 1, reorder: 0.25, slots: {every_s: 2}").network
     assert network.loss == Bernoulli(probability=0.3)

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from run_flight import Collector
 
 import testbed
 from testbed.plan.world import build
@@ -235,32 +236,17 @@ def test_receive_neighbours_changes_no_flight():
     changes = ["fleet.count=6", "scenario.duration_s=4", "scenario.windows=null", "log.mcap=false"]
     results = {}
     for receive in ("all", "neighbours"):
-        positions = Positions()
+        collector = Collector()
         run = testbed.run(
             load_scenario("vee-30", [*changes, f"network.receive={receive}"]),
             write=False,
-            observers=[positions],
+            observers=[collector],
         )
-        results[receive] = positions.seen, run.metrics["network"]["links"]
+        results[receive] = collector.frames, run.metrics["network"]["links"]
     for of_all, of_some in zip(results["all"][0], results["neighbours"][0], strict=True):
-        assert np.array_equal(of_all, of_some)
+        assert np.array_equal(of_all.truth.position_ned, of_some.truth.position_ned)
     assert {name: len(by) for name, by in results["all"][1].items()} == {
         "leader": 6,
         **{f"uav{k}": 5 for k in range(1, 7)},
     }
     assert sum(len(by) for by in results["neighbours"][1].values()) == 6 + 6 * 2
-
-
-class Positions:
-    """Stores the true positions of every sample."""
-
-    def begin(self, info):
-        """Start with no positions."""
-        self.seen = []
-
-    def observe(self, sample):
-        """Store them."""
-        self.seen.append(sample.truth.position_ned)
-
-    def end(self, summary, events):
-        """Do nothing."""

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import environment
+from run_flight import Collector
 from waiting import TIMEOUT_S
 
 import testbed
@@ -39,17 +40,6 @@ def short(*overrides, seconds=4.0):
 def steps(simulation, **options):
     while simulation.outcome is None:
         yield simulation.step(**options)
-
-
-class Samples:
-    def begin(self, info):
-        self.all = []
-
-    def observe(self, sample):
-        self.all.append(sample)
-
-    def end(self, summary, events):
-        """Nothing is left to do."""
 
 
 def positions(simulation):
@@ -94,11 +84,11 @@ def test_samples_have_the_wind_of_their_tick():
     """Against the closed form of a gust in time, for every kind of vehicle, at every tick."""
     overrides = [f"air.gusts=[{PUFF}]", "fleet.uav1.vehicle=unicycle"]
     scenario = set_duration(load_scenario("simulation-3-recorded-leader", overrides), 1.0)
-    logged = Samples()
+    logged = Collector()
     simulation = testbed.Simulation(scenario, observers=[logged])
     states = [copy_sample(simulation.state), *map(copy_sample, steps(simulation))]
-    assert [len(states), len(logged.all)] == [51, 26]
-    for sample in (*states, *logged.all):
+    assert [len(states), len(logged.frames)] == [51, 26]
+    for sample in (*states, *logged.frames):
         rise = 0.5 - 0.5 * math.cos(math.pi * sample.time_s)
         expected = np.tile(rise * np.array([1.0, 0.0, -2.0]), (4, 1))
         np.testing.assert_allclose(sample.air.wind_ned, expected, atol=1e-12)
@@ -109,15 +99,15 @@ def test_samples_have_the_wind_at_their_position():
 
     Heights change by up to 0.02 m in an autopilot period.
     """
-    logged = Samples()
+    logged = Collector()
     testbed.run(set_duration(load_scenario("wind-8ms"), 0.8), write=False, observers=[logged])
     downwind = math.radians(240.0 - 180.0)
-    for sample in logged.all:
+    for sample in logged.frames:
         height = -sample.truth.position_ned[:, 2]
         speed = 8.0 * np.log(height / 0.03) / math.log(100.0 / 0.03)
         expected = np.outer(speed, [math.cos(downwind), math.sin(downwind), 0.0])
         np.testing.assert_allclose(sample.air.wind_ned, expected, atol=2e-6)
-    first = logged.all[0]
+    first = logged.frames[0]
     _, pitch, yaw = first.truth.euler.T
     slope = 8.0 / math.log(100.0 / 0.03) / -first.truth.position_ned[:, 2]  # 1/s, du/dh
     along, across = slope * np.sin(pitch) * [np.cos(downwind - yaw), np.sin(downwind - yaw)]

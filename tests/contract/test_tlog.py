@@ -1,7 +1,6 @@
 """Telemetry logs: written, read, compared with pymavlink, and damaged."""
 
 import random
-import struct
 from contextlib import closing
 
 import pytest
@@ -112,9 +111,3 @@ def test_tlog_unusable_file_is_an_error(tmp_path):
         Tlog(tmp_path / "nothing.tlog")
     with pytest.raises(MavlinkError, match="cannot be written"):
         TlogWriter(tmp_path)
-
-
-def test_tlog_layout_is_that_of_ground_stations(tmp_path):
-    path = written(tmp_path / "a.tlog", frames(1))
-    (time,) = struct.unpack_from(">Q", path.read_bytes())
-    assert time == START

@@ -114,23 +114,3 @@ def test_web_viewer_takes_free_ports_and_refuses_hosts(monkeypatch):
         assert viewer._port(viewer.HOST, port) not in (0, port)
     served = viewer.WebViewer(viewer.ANY_HOST, 9090, 9876)
     assert "ssh" not in served.directions[1] and "127.0.0.1" not in served.url
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("view", "run.mcap", "--web", "--at", "1"), "--web --at"),
-        (("view", "run.mcap", "--web", "--rrd", "it.rrd"), "--web --rrd"),
-        (("view", "run.mcap", "--web", "--host", "10.0.0.1"), "--host 10.0.0.1"),
-        (("view", "run.mcap", "--rrd", "it.rrd", "--follow", "uav9"), "one of leader, uav1"),
-        (("run", "simulation-3", "--rrd", "-"), "goes to a file"),
-        (("run", "simulation-3", "--follow", "uav9"), "one of leader, uav1"),
-        (("run", "--view", "no-such-scenario"), "no-such-scenario"),
-        (("run", "simulation-3", "--view", "web", "--host", "10.0.0.1"), "--host 10.0.0.1"),
-    ],
-)
-def test_view_options_refuse_bad_input(arguments, message, tmp_path):
-    record(tmp_path / "run.mcap", run_samples(60), run_info())
-    done = call_command(*arguments, cwd=tmp_path, code=2, columns=200)
-    assert message in done.stderr
-    assert [each.name for each in tmp_path.iterdir()] == ["run.mcap"]
