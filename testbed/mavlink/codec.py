@@ -4,7 +4,9 @@ The definitions, headers and checksums are those of pymavlink's generated tables
 parsing are implemented here (https://mavlink.io/en/guide/serialization.html). This is the only
 module that imports pymavlink, and only on the first use, because the tables take tens of ms to
 load. Only the generated tables may be imported: they are under the MIT licence, while other modules
-of pymavlink are under the GPL or import one that is.
+of pymavlink are under the GPL or import one that is. Their class MAVLink does not parse here: it
+stores the time of a signature before it compares the hash, so that a forged frame shuts out later
+ones of its sender.
 """
 
 from __future__ import annotations
