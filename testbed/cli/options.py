@@ -10,7 +10,6 @@ import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -31,7 +30,9 @@ def _complete(list_names: str) -> Callable[[str], list[str]]:
     """Make a completion by the names that a function of testbed.scenario lists."""
 
     def complete(incomplete: str) -> list[str]:
-        return _beginning(incomplete, getattr(import_module("testbed.scenario"), list_names)())
+        from testbed import scenario
+
+        return _beginning(incomplete, getattr(scenario, list_names)())
 
     return complete
 

@@ -282,6 +282,7 @@ RUNS_CODE = {
         "plan.user_code",  # laws and functions of scenarios: `find_code` is the gate
         "testbed",  # names of its own that load on demand
         "rl",
+        "cli.main",  # the modules of its commands, by the names in `PANELS`
     },
     "runpy": set(),
     "marshal": set(),

@@ -211,7 +211,7 @@ def test_null_windows_without_inherited_ones_are_none():
 
 
 @pytest.mark.parametrize("overrides", [(), ("scenario.seed=1e3",)])
-def test_whole_number_with_an_exponent_is_shown_as_written(overrides):
+def test_exponent_of_a_whole_number_is_shown(overrides):
     text = (FOLDER / "minimal.yaml").read_text()
     if not overrides:
         text = text.replace("duration_s: 10", "duration_s: 10, seed: 1e3")

@@ -76,7 +76,7 @@ def test_command_options_are_built_when_called():
         assert command.epilog in (None, EXIT_CODES_HELP)
 
 
-def test_help_imports_no_command_and_no_unused_part_of_rich(tmp_path):
+def test_help_imports_no_module_of_a_command(tmp_path):
     loaded = loaded_by(
         "from testbed.cli.main import app; app(['--help'], standalone_mode=False)", tmp_path
     )
