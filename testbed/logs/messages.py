@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any, get_origin, get_type_hints
 
 from testbed.core.identifiers import identifiers
@@ -70,16 +71,19 @@ RECORDS: Mapping[str, Any] = {
 }
 
 
+_logged_fields = cache(logged_fields)  # reading annotations takes a while
+
+
 def _column(source: str, default_source: str | None = None) -> Column:
     """Make the column of a field that is annotated with `Logged`; its path is from `Sample`."""
     record, _, field = source.rpartition(".")
-    dtype, logged = logged_fields(RECORDS[record] if record else Sample)[field]
+    dtype, logged = _logged_fields(RECORDS[record] if record else Sample)[field]
     return Column(source, logged.names, dtype, logged.per_aircraft, default_source)
 
 
 def _columns(record: str) -> tuple[Column, ...]:
     """Make the columns of all logged fields of a record."""
-    return tuple(_column(f"{record}.{field}") for field in logged_fields(RECORDS[record]))
+    return tuple(_column(f"{record}.{field}") for field in _logged_fields(RECORDS[record]))
 
 
 STATE = Topic(
