@@ -16,12 +16,10 @@ from testbed.core.records import (
 )
 from testbed.runs.simulation import Simulation
 from testbed.scenario import SingleAircraft, resolve_single_aircraft
-from testbed.scenario.air import Air
 from testbed.scenario.aircraft import AircraftSection, External, Start, Virtual
 from testbed.scenario.arguments import check_argument
 from testbed.scenario.fields import Section
 from testbed.scenario.sections import Header, Rates, Sections
-from testbed.scenario.sensors import Sensors
 from testbed.vehicle.trim import TrimError
 
 _ValuesT = TypeVar("_ValuesT", VehicleState, AirData, ActuatorCommand)
@@ -97,7 +95,7 @@ class Aircraft:
             "duration_s": duration_s,
             "physics_hz": physics_hz,
         }
-        checked: dict[str, Any] = {
+        checked = {
             name: check_argument(name, value, *_ARGUMENTS[name]) for name, value in given.items()
         }
         if physics_hz % _AUTOPILOT_HZ:
@@ -105,7 +103,7 @@ class Aircraft:
                 f"physics_hz: is {physics_hz} (write a multiple of {_AUTOPILOT_HZ}, the rate of "
                 "the autopilot)"
             )
-        flight = resolve_single_aircraft(_flight(**checked))
+        flight = resolve_single_aircraft(_flight(checked))
         with _argument_errors(f"{airspeed_mps:g}", altitude_m):
             self.simulation = Simulation(flight, compiling=compiling)
         self._sample = self.simulation.state
@@ -177,29 +175,18 @@ class Aircraft:
         return f"<Aircraft: {name}; {self.time_s:g} s; {self.outcome or 'flying'}>"
 
 
-def _flight(
-    *,
-    aircraft: str,
-    airspeed_mps: float,
-    altitude_m: float,
-    course_deg: float,
-    air: Air,
-    sensors: Sensors,
-    tune: str,
-    seed: int,
-    duration_s: float,
-    physics_hz: int,
-) -> SingleAircraft:
+def _flight(arguments: Mapping[str, Any]) -> SingleAircraft:
     """Return the flight of checked arguments."""
+    header, own = ("duration_s", "seed"), ("aircraft", "sensors", "tune")
     return SingleAircraft(
-        scenario=Header(schema_version=2, name=_NAME, duration_s=duration_s, seed=seed),
-        rates=Rates(physics_hz=physics_hz),
+        scenario=Header(schema_version=2, name=_NAME, **{key: arguments[key] for key in header}),
+        rates=Rates(physics_hz=arguments["physics_hz"]),
         only=AircraftSection(
-            name=_NAME, aircraft=aircraft, commanded_by=External(), sensors=sensors, tune=tune
+            name=_NAME, commanded_by=External(), **{key: arguments[key] for key in own}
         ),
-        start=Start(altitude_m=altitude_m, course_deg=course_deg),
-        speed_mps=airspeed_mps,
-        air=air,
+        start=Start(altitude_m=arguments["altitude_m"], course_deg=arguments["course_deg"]),
+        speed_mps=arguments["airspeed_mps"],
+        air=arguments["air"],
     )
 
 
