@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from commands import children, environment
 from jsbsim import get_default_root_dir as jsbsim_root
+from snapshot import check_snapshot
 
 from testbed.scenario import library
 from testbed.vehicle import (
@@ -22,16 +23,21 @@ from testbed.vehicle import (
 from testbed.vehicle.jsbsim_adapter import airframe, load_executive, probe_airframes
 from testbed.vehicle.jsbsim_model import AircraftError
 
+DATA = Path(__file__).parents[1] / "data"
 MAIN, MOTOR = "rascal110.xml", "Engines/rascal110_motor.xml"
 PROPELLER = "Engines/propeller_18in.xml"
 
 
+def copy_aircraft(place):
+    home = place / "rascal110"
+    shutil.copytree(library() / "aircraft" / "rascal110", home)
+    (place / "beside.xml").write_text("<system name='beside'/>")
+    return home
+
+
 @pytest.fixture
 def folder(tmp_path):
-    home = tmp_path / "rascal110"
-    shutil.copytree(library() / "aircraft" / "rascal110", home)
-    (tmp_path / "beside.xml").write_text("<system name='beside'/>")
-    return home
+    return copy_aircraft(tmp_path)
 
 
 def error_of(folder):
@@ -53,105 +59,58 @@ def begin(folder):
 
 
 WRITE = "simulation/write-state-file"
-OUTPUT = '<channel name="c"><{0}><output>{1}</output></{2}></channel>'
 
 
 def system(content):
     return f'<system name="s">{content}</system>'
 
 
-@pytest.mark.parametrize(
-    ("element", "message"),
-    [
-        ('<input port="41234" type="SOCKET"/>', "<input> opens a socket (remove it)"),
-        ('<output name="x.csv" type="CSV"/>', "<output> opens a socket or writes a file"),
-        ('<child name="beside"/>', "<child> loads another aircraft"),
-        ('<planet name="Mars"/>', "<planet> replaces the Earth"),
-        ("<systems/>", "<systems> is not known in <fdm_config> (did you mean <system>?)"),
-        (system("<output/>"), "<output> opens a socket or writes a file"),
-        ('<aerodynamics rate="2"/>', "the attribute rate of <aerodynamics> is not known"),
-        (
-            '<propulsion><tank file="x"/></propulsion>',
-            "the attribute file of <tank> is not known (it may have type, number, name and unit)",
-        ),
-        ('<system file="../beside"/>', "file='../beside' leaves the aircraft's folder"),
-        ('<system file="/etc/passwd"/>', "file='/etc/passwd' leaves the aircraft's folder"),
-        ('<system file="Systems/../../beside"/>', "leaves the aircraft's folder"),
-        # JSBSim reads \ as /
-        (r'<system file="..\beside"/>', "leaves the aircraft's folder, or is no plain name"),
-        ('<system file="linked"/>', "file='linked' is a link out of the aircraft's folder"),
-        ('<system file="missing"/>', "there is no missing.xml in the aircraft's folder"),
-        ('<system file="SOURCE.md"/>', "there is no SOURCE.md.xml in the aircraft's folder"),
-        (system(f'<property value="1">{WRITE}</property>'), f"the property {WRITE} is JSBSim's"),
-        (system(f"<property>fcs/x\n{WRITE}</property>".replace("\n", "&#10;")), "is JSBSim's"),
-        (system(f"<property>{WRITE[:5]}<!-- -->{WRITE[5:]}</property>"), "is JSBSim's"),
-        (system(f"<property>/fdm/jsbsim/{WRITE}</property>"), "is JSBSim's"),
-        (system(f"<property>fcs/../{WRITE}</property>"), "is not the name of a property"),
-        (system(f"<property>simulation[0]/{WRITE[11:]}</property>"), "is JSBSim's"),
-        (system("<property>forces/hold-down</property>"), "is JSBSim's"),
-        (system("<property>inertia/print-mass-properties</property>"), "is JSBSim's"),
-        (system(f'<function name="{WRITE}"><value>1</value></function>'), "is JSBSim's"),
-        (system(f'<function copyto="{WRITE}"><value>1</value></function>'), "is JSBSim's"),
-        (system(OUTPUT.format('summer name="a/b"', WRITE, "summer")), "is JSBSim's"),
-        (system(OUTPUT.format(f'pid name="{WRITE}"', "a/b", "pid")), "is JSBSim's"),
-        (system(OUTPUT.format('lag_filter name=".."', "a/b", "lag_filter")), "is not the name of"),
-        (
-            system(
-                '<channel name="c"><distributor name="a/b" type="inclusive"><case>'
-                f'<property value="1">{WRITE}</property></case></distributor></channel>'
-            ),
-            "is JSBSim's",
-        ),
-        (
-            '<external_reactions><force name="../simulation"/></external_reactions>',
-            "external_reactions/../simulation is not the name of a property",
-        ),
-        ("<documentation>" + "<a>" * 60 + "</a>" * 60, "<a> is deeper than 50 elements"),
-        ("&passwd;", "is not XML: undefined entity"),
-    ],
-)
-def test_forbidden_element_error_has_file_and_line(folder, element, message):
-    (folder / "Systems").mkdir(exist_ok=True)
-    (folder / "Systems" / "linked.xml").symlink_to(folder.parent / "beside.xml")
-    (folder / r"..\beside.xml").write_text("<system/>")
-    line = change(folder / MAIN, begin(folder), f"{begin(folder)}\n{element}") + 1
-    text = error_of(folder)
-    assert text.startswith(f"{folder / MAIN}:{line}: ") and message in text
+def errors_of(tmp_path, changes):
+    """Change a file of as many copies of an aircraft; return each change and its error."""
+    rows = []
+    for number, (file, old, new) in enumerate(changes):
+        folder = copy_aircraft(tmp_path / str(number))
+        (folder / "Systems").mkdir(exist_ok=True)
+        (folder / "Systems" / "linked.xml").symlink_to(folder.parent / "beside.xml")
+        (folder / r"..\beside.xml").write_text("<system/>")
+        line = change(folder / file, old, new)
+        text = error_of(folder)
+        place = f"{folder / file}:{line + new.startswith('<fdm_config')}: "
+        assert text.startswith(place), (new, text)
+        rows += [f"{file}: {new[-200:]}", text.removeprefix(place).replace(str(folder), "."), ""]
+    return "\n".join(rows)
 
 
-@pytest.mark.parametrize(
-    ("file", "old", "new", "message"),
-    [
-        (MAIN, "> 13 </emptywt>", "> -13 </emptywt>", "<emptywt> is -13; it must be greater than"),
-        (MAIN, "> 13 </emptywt>", "> 0 </emptywt>", "<emptywt> is 0; it must be greater than 0"),
-        (MAIN, "> 13 </emptywt>", "> nan </emptywt>", "<emptywt> is nan; it must be greater"),
-        (MAIN, "> 1.95 <", "> -1.95 <", "<ixx> is -1.95; it must be greater than 0"),
-        (MAIN, "> 10.57 <", "> 0 <", "<wingarea> is 0; it must be greater than 0"),
-        (MAIN, "> 9.17 <", "> -9 <", "<wingspan> is -9; it must be greater than 0"),
-        (MAIN, "> 1.15 <", "> <", "<chord> is ; it must be greater than 0"),
-        (MAIN, '<contents unit="LBS"> 1.5', '<contents unit="LBS"> -1', "<contents> is -1; it"),
-        (
-            MAIN,
-            '<contents unit="LBS"> 1.5',
-            '<contents unit="KG"> 1.5',
-            "<contents> of the tank is 3.30693, and its <capacity> is 1.5 LBS (write 0 to the",
-        ),
-        (
-            MAIN,
-            '<location name="CG"',
-            '<pointmass name="p"><weight> -1 </weight></pointmass><location name="CG"',
-            "<weight> is -1; it must be 0 or more",
-        ),
-        (PROPELLER, "> 18 <", "> -18 <", "<diameter> is -18; it must be greater than 0"),
-        (PROPELLER, "> 0.00085 <", "> 0 <", "<ixx> is 0; it must be greater than 0"),
-        (MOTOR, "> 2207.27 <", "> -1 <", "<power> is -1; it must be 0 or more"),
-        (MOTOR, "electric_engine", "system", "begins with <system> (write <electric_engine> or"),
-    ],
+def test_forbidden_element_error_has_file_and_line(folder, tmp_path):
+    """Each line of tests/data/wrong_elements.txt, as the first element of an aircraft."""
+    elements = (DATA / "wrong_elements.txt").read_text("utf-8").splitlines()
+    start = begin(folder)
+    changes = [(MAIN, start, f"{start}\n{each}") for each in elements]
+    check_snapshot("wrong_elements", errors_of(tmp_path, changes))
+
+
+IMPOSSIBLE = (
+    *((MAIN, "> 13 </emptywt>", f"> {each} </emptywt>") for each in ("-13", "0", "nan")),
+    (MAIN, "> 1.95 <", "> -1.95 <"),
+    (MAIN, "> 10.57 <", "> 0 <"),
+    (MAIN, "> 9.17 <", "> -9 <"),
+    (MAIN, "> 1.15 <", "> <"),
+    (MAIN, '<contents unit="LBS"> 1.5', '<contents unit="LBS"> -1'),
+    (MAIN, '<contents unit="LBS"> 1.5', '<contents unit="KG"> 1.5'),
+    (
+        MAIN,
+        '<location name="CG"',
+        '<pointmass name="p"><weight> -1 </weight></pointmass><location name="CG"',
+    ),
+    (PROPELLER, "> 18 <", "> -18 <"),
+    (PROPELLER, "> 0.00085 <", "> 0 <"),
+    (MOTOR, "> 2207.27 <", "> -1 <"),
+    (MOTOR, "electric_engine", "system"),
 )
-def test_impossible_mass_or_size_has_file_and_line(folder, file, old, new, message):
-    line = change(folder / file, old, new)
-    text = error_of(folder)
-    assert text.startswith(f"{folder / file}:{line}: ") and message in text
+
+
+def test_impossible_mass_or_size_has_file_and_line(tmp_path):
+    check_snapshot("impossible_sizes", errors_of(tmp_path, IMPOSSIBLE))
 
 
 @pytest.mark.parametrize("name", ["inertia/mass-slugs", "metrics/Sw-sqft"])

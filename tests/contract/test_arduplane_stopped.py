@@ -62,16 +62,15 @@ def printed(folders, words):
 
 
 @pytest.mark.parametrize(
-    ("misbehaviour", "words"),
+    ("misbehaviour", "words", "number"),
     [
-        ("never-listens", "frozen"),
-        ("hang@60", "frozen"),
-        (f"hang@{SOON}", "frozen"),
-        ("never-arms", "JSON received"),
+        ("never-listens", "frozen", signal.SIGINT),
+        ("hang@60", "frozen", signal.SIGTERM),
+        (f"hang@{SOON}", "frozen", signal.SIGINT),
+        ("never-arms", "JSON received", signal.SIGTERM),
     ],
     ids=["never listens", "freezes in its boot", "freezes in flight", "never arms"],
 )
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_stop_ends_wait_for_arduplane(binary, monkeypatch, tmp_path, misbehaviour, words, number):
     monkeypatch.setenv("ARDUPLANE_STAND_IN", misbehaviour)
     monkeypatch.setattr("testbed.autopilot.startup._STAGE_TIMEOUT_S", 3600.0)

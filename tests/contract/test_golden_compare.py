@@ -156,10 +156,6 @@ def lost(metrics):
     metrics.update(outcome="lost", simulated_s=3.0, events=[event])
 
 
-def add_a_metre(metrics):
-    metrics["windows"]["circles"]["rms_m"]["uav2"] += 1.0
-
-
 def incomplete(metrics):
     metrics["windows"]["circles"].update(complete=False, covered_s=4.0)
 
@@ -283,22 +279,6 @@ def test_file_digests_airframe_without_caches(tmp_path):
     after = file_digests(chosen)
     assert after.keys() == before.keys()
     assert {name for name in after if after[name] != before[name]} == {"x8/Systems/battery.xml"}
-
-
-def test_print_check_suggests_possible_updates(exact):
-    """Not for flights whose table an update would refuse to write."""
-
-    def hints(*verdicts):
-        lines = printed(print_check, verdicts).splitlines()
-        return [line for line in lines if "--update" in line]
-
-    moved, new = compare_edited(exact, add_a_metre), compare_edited(exact, with_window)
-    (hint,) = hints(moved)
-    assert "testbed check short --update --reason TEXT" in hint
-    assert hints(new) == [hint]
-    for edit in (lost, never_joined, incomplete):
-        assert hints(compare_edited(exact, edit)) == []
-        assert hints(compare_edited(exact, edit), moved) == [hint]
 
 
 @pytest.mark.parametrize("edit", [lost, never_joined, incomplete])

@@ -5,6 +5,7 @@ import random
 from collections import Counter
 
 import pytest
+from frame_damage import broken
 
 from testbed.mavlink.codec import Codec
 from testbed.mavlink.signing import Signing
@@ -29,26 +30,6 @@ def random_frame(codec, rng):
             lambda: codec.pack("PARAM_REQUEST_LIST", target_system=1, target_component=1),
         ]
     )()
-
-
-def broken(frame, rng):
-    """Damage a frame at random; never returns the frame itself."""
-    way = rng.randrange(5)
-    if way == 0:
-        return bytes(rng.randrange(256) for _ in range(rng.randrange(400)))
-    if way == 1:
-        return frame[: rng.randrange(len(frame))]
-    if way == 2:
-        return bytes(rng.choice(b"\xfd\xfe\x00\x01\xff") for _ in range(rng.randrange(60)))
-    changed = bytearray(frame)
-    if way == 3:
-        at = rng.randrange(len(changed))
-        changed[at] ^= 1 << rng.randrange(8)
-    else:
-        for _ in range(rng.randrange(2, 12)):
-            at = rng.randrange(len(changed))
-            changed[at] = (changed[at] + rng.randrange(1, 256)) % 256
-    return b"" if bytes(changed) == frame else bytes(changed)
 
 
 @pytest.mark.parametrize("key", [None, KEY], ids=["open", "signed"])

@@ -6,6 +6,7 @@ from collections import Counter
 import numpy as np
 import pytest
 from mavlink_control import ORIGIN, TO, RecordingControl, VehicleClient, fields_of, item, sample
+from scipy.spatial.transform import Rotation
 
 from testbed.core.frames import rotation_ned_body
 from testbed.mavlink.codec import constant
@@ -53,14 +54,8 @@ def test_attitude_is_the_estimate(messages, current):
 
 
 def test_quaternion_agrees_with_euler_angles(messages, current):
-    w, x, y, z = (messages["ATTITUDE_QUATERNION"][f"q{n}"] for n in range(1, 5))
-    rotation = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    w, *xyz = (messages["ATTITUDE_QUATERNION"][f"q{n}"] for n in range(1, 5))
+    rotation = Rotation.from_quat([*xyz, w]).as_matrix()
     # single precision
     assert rotation == pytest.approx(rotation_ned_body(current.estimate.euler[2]), abs=1e-6)
 

@@ -46,47 +46,23 @@ def change(client, name, value):
     return client.send("PARAM_SET", **TO, param_id=name, param_value=value, param_type=9)
 
 
-@pytest.mark.parametrize(
-    "ask",
-    [
-        *(
-            lambda client, numbers=numbers: client.command(*numbers)
-            for numbers in [
-                (400, 2.0),
-                (176, 0.0),
-                (176, 1.0, 2.0),
-                (176, 1.0, 11.0),
-                (178, 1.0, 20.0),
-                (300, 9.0),
-                (224, math.nan),
-                (246, 1.0),
-                (20,),
-                (21,),
-                (22,),
-            ]
-        ),
-        *(
-            lambda client, changes=changes: client.send("SET_ATTITUDE_TARGET", **ATTITUDE | changes)
-            for changes in [
-                {"type_mask": 32},
-                {"type_mask": 128},
-                {"thrust": math.nan},
-                {"q": (2.0, 0.0, 0.0, 0.0)},
-            ]
-        ),
-        *(
-            lambda client, pair=pair: change(client, *pair)
-            for pair in [
-                ("NO_SUCH", 1.0),
-                ("RC1_TRIM", 5.0),
-                ("RC1_TRIM", 2100.0),
-                ("RC1_TRIM", math.nan),
-                ("SYSID_THISMAV", 9.0),
-                ("SERVO1_FUNCTION", 9.0),
-            ]
-        ),
-    ],
+WARNED = (
+    *((400, 2.0), (176, 0.0), (176, 1.0, 2.0), (176, 1.0, 11.0), (178, 1.0, 20.0), (300, 9.0)),
+    *((224, math.nan), (246, 1.0), (20,), (21,), (22,)),
+    *({"type_mask": 32}, {"type_mask": 128}, {"thrust": math.nan}, {"q": (2.0, 0.0, 0.0, 0.0)}),
+    *(("NO_SUCH", 1.0), ("RC1_TRIM", 5.0), ("RC1_TRIM", 2100.0), ("RC1_TRIM", math.nan)),
+    *(("SYSID_THISMAV", 9.0), ("SERVO1_FUNCTION", 9.0)),
 )
-def test_warnings_fit_one_message(ask):
-    (text,) = texts(ask(VehicleClient(RecordingControl())))
+
+
+@pytest.mark.parametrize("asked", WARNED, ids=str)
+def test_warnings_fit_one_message(asked):
+    client = VehicleClient(RecordingControl())
+    if isinstance(asked, dict):
+        replies = client.send("SET_ATTITUDE_TARGET", **ATTITUDE | asked)
+    elif isinstance(asked[0], str):
+        replies = change(client, *asked)
+    else:
+        replies = client.command(*asked)
+    (text,) = texts(replies)
     assert 0 < len(text) <= TEXT_BYTES

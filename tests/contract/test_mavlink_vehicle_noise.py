@@ -9,6 +9,7 @@ import random
 import socket
 
 import pytest
+from frame_damage import broken
 from mavlink_control import RecordingControl, info, sample
 
 from testbed.mavlink import codec as codec_module
@@ -46,26 +47,6 @@ def commands(codec):
         codec.pack("MISSION_CLEAR_ALL", **to, mission_type=0),
         codec.pack("MISSION_SET_CURRENT", **to, seq=0),
     ]
-
-
-def broken(frame_, rng):
-    """Damage a frame at random; never returns the frame itself."""
-    way = rng.randrange(6)
-    if way == 0:
-        return rng.randbytes(rng.randrange(1, 400))
-    if way == 1:
-        return frame_[: rng.randrange(1, len(frame_))]
-    if way == 2:
-        return bytes(rng.choice(b"\xfd\xfe\x00\x01\xff") for _ in range(rng.randrange(1, 80)))
-    if way == 3:
-        at = rng.randrange(1, len(frame_))
-        return frame_[:at] + frame_[at + 1 :]
-    changed = bytearray(frame_)
-    # a bit in any byte; the checksum also covers the system id
-    for _ in range(1 if way == 4 else rng.randrange(2, 12)):
-        at = rng.randrange(len(changed))
-        changed[at] ^= 1 << rng.randrange(8)
-    return b"\xfd" if bytes(changed) == frame_ else bytes(changed)
 
 
 POLLS = 50  # a poll has a few ms, in which a busy machine may handle only one message

@@ -16,17 +16,8 @@ from testbed.runs.run import run
 from testbed.scenario import load_scenario, set_duration
 
 COLUMNS = ["source", "destination", "sequence", "sent_s", "received_s", "outcome", "copies"]
-LINKS = [
-    ("leader", "uav1"),
-    ("leader", "uav2"),
-    ("leader", "uav3"),
-    ("uav1", "uav2"),
-    ("uav1", "uav3"),
-    ("uav2", "uav1"),
-    ("uav2", "uav3"),
-    ("uav3", "uav1"),
-    ("uav3", "uav2"),
-]
+NAMES = ("leader", "uav1", "uav2", "uav3")
+LINKS = [(source, other) for source in NAMES for other in NAMES[1:] if other != source]
 
 
 def network(*arguments, sets=(), scenario="simulation-3"):

@@ -32,24 +32,7 @@ from testbed.vehicle.replay_commands import respond
 MINIMAL = (Path(__file__).parents[1] / "data" / "scenarios" / "minimal.yaml").read_text()
 
 
-def problems(text, *changes):
-    with pytest.raises(ScenarioError) as caught:
-        loads(text, changes, source="case.yaml")
-    return [(".".join(each.path), each.text) for each in caught.value.problems]
-
-
 # aircraft in one place
-
-
-def test_two_starts_in_one_place_are_refused():
-    with pytest.raises(ScenarioError) as caught:
-        load_scenario("simulation-3", ["fleet.1.start_m=[-25, 15, 0]"])
-    (problem,) = caught.value.problems
-    assert problem.path == ("fleet", "1", "start_m")
-    assert problem.text == (
-        "[-25, 15, 0] puts uav2 in the same place as uav1 (fleet.0.start_m) at the start (write "
-        "another start)"
-    )
 
 
 def test_two_slots_in_one_place_are_refused():
@@ -58,14 +41,6 @@ def test_two_slots_in_one_place_are_refused():
     (problem,) = caught.value.problems
     assert problem.path == ("formation", "offsets_m", "uav3")
     assert "puts the slot of uav3 in the same place as that of uav1" in problem.text
-
-
-def test_start_and_slot_of_the_leader_are_refused():
-    changes = ("fleet.0.start_m=[0, 0, -0.0]", "formation.offsets_m.uav1=[0, 0, 0]")
-    assert [(path, text.partition(" (")[0]) for path, text in problems(MINIMAL, *changes)] == [
-        ("fleet.0.start_m", "[0, 0, 0] puts uav1 in the same place as leader"),
-        ("formation.offsets_m.uav1", "[0, 0, 0] puts the slot of uav1 in the same place as leader"),
-    ]
 
 
 def test_virtual_leader_is_not_an_aircraft():

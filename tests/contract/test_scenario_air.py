@@ -2,10 +2,9 @@
 
 from pathlib import Path
 
-import jsonschema
 import pytest
 
-from testbed.scenario import dump, find_data, json_schema, load_scenario, loads
+from testbed.scenario import dump, find_data, load_scenario, loads
 
 FOLDER = Path(__file__).parents[1] / "data" / "scenarios"
 MINIMAL = (FOLDER / "minimal.yaml").read_text()
@@ -48,22 +47,3 @@ def test_recorded_wind_is_found_by_path_and_name(tmp_path, monkeypatch):
     by_name = read("wind: {file: gusty-wind.csv}")
     assert by_name.air.wind.file == "gusty-wind.csv"
     assert read(f"wind: {{file: {find_data('gusty-wind.csv')}}}") == by_name
-
-
-@pytest.mark.parametrize(
-    ("air", "valid"),
-    [
-        ({"gusts": [{"kind": "time", "name": "a", "velocity_mps": [1, 0, 0]}]}, True),
-        ({"gusts": [{"kind": "tyme"}]}, False),
-        ({"gusts": [{"kind": "time", "towards_deg": 9}]}, False),
-        ({"wake": None}, True),
-        ({"wake": {}}, True),
-        ({"wake": {"decay_s": 0}}, False),
-        ({"turbulence": {"length_m": [1, 2]}}, False),
-        ({"turbulence": {"length_m": None}}, True),
-        ({"wind": {"profile": {"kind": "log", "exponent": 0.1}}}, False),
-    ],
-)
-def test_json_schema_checks_air(air, valid):
-    validator = jsonschema.Draft202012Validator(json_schema())
-    assert validator.is_valid({"air": air}) is valid

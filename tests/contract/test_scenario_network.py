@@ -2,10 +2,9 @@
 
 from pathlib import Path
 
-import jsonschema
 import pytest
 
-from testbed.scenario import ScenarioError, dump, find_data, json_schema, load_scenario, loads
+from testbed.scenario import ScenarioError, dump, find_data, load_scenario, loads
 from testbed.scenario.network import Bernoulli, FourState, GilbertElliott, Link, Network
 
 FOLDER = Path(__file__).parents[1] / "data" / "scenarios"
@@ -259,35 +258,3 @@ def test_kinds_of_loss_survive_the_round_trip():
     ):
         scenario = read(f"loss: {loss}")
         assert type(loads(dump(scenario)).network.loss) is kind
-
-
-@pytest.mark.parametrize(
-    ("network", "valid"),
-    [
-        ({"loss": 0.3}, True),
-        ({"loss": 1.3}, False),
-        ({"loss": {"probability": 0.3}}, True),
-        ({"loss": {"correlation": 0.3}}, True),  # of a file that another completes
-        ({"loss": {"kind": "gilbert-elliott", "p": 0.1}}, True),
-        ({"loss": {"kind": "gilbert-elliott", "p13": 0.1}}, False),
-        ({"loss": {"p": 0.1}}, False),
-        ({"loss": {"kind": "gilbert"}}, False),
-        ({"loss": None, "jitter": None}, True),
-        ({"loss": "high"}, False),
-        ({"duplicate": 0.1, "corrupt": {"probability": 1}, "reorder": 0.5}, True),
-        ({"reorder": {"probability": 0.5, "gap": 0}}, False),
-        ({"duplicate": {"gap": 5}}, False),
-        ({"slots": {"every_s": 0.1}}, True),
-        ({"slots": {"every_s": [0.1, 0.2]}}, True),
-        ({"slots": {"every_s": [0.1, 0.2, 0.3]}}, False),
-        ({"links": {"leader": {"*": {"loss": 0.3, "range_loss": [[1, 0], [2, 1]]}}}}, True),
-        ({"links": {"leader": {"*": {"loss": 3}}}}, False),
-        ({"links": {"leader": {"loss": 0.3}}}, False),
-        ({"range_loss": [[1, 0, 0]]}, False),
-        ({"tdma": {"frame_s": 0}}, False),
-        ({"clocks": {"leader": {"offset_s": -1, "drift_ppm": 3}}}, True),
-    ],
-)
-def test_json_schema_checks_network(network, valid):
-    validator = jsonschema.Draft202012Validator(json_schema())
-    assert validator.is_valid({"network": network}) is valid
