@@ -11,12 +11,15 @@ import itertools
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any
 
 from testbed.atmosphere.air import Atmosphere
+from testbed.core.call_list import CallList
 from testbed.core.records import Event, Observer, RunInfo, Sample
-from testbed.flight import stages
-from testbed.flight.stages import Program, Stage
+from testbed.flight import loop
+from testbed.flight.stages import Stage
+from testbed.flight.tick_loop import TickLoop
 from testbed.sensors.estimators import StateEstimators
 from testbed.vehicle.fleet import JsbsimFleet
 
@@ -41,6 +44,7 @@ STAGES: Mapping[str, Sequence[str]] = {
         "read the air of flight models",
         "give the wind to flight models",
         "give surfaces to models",
+        "move to the next tick",
     ],
     "air": ["sample the wind"],
     "sensing": ["advance sensors and estimates", "estimate with the present errors"],
@@ -70,6 +74,7 @@ STAGES: Mapping[str, Sequence[str]] = {
         "find followers commanded from outside",
         "give events to observers",
         "give events and a sample to observers",
+        "wait for the caller",
     ],
 }
 STAGES_OF_FILES = {
@@ -86,17 +91,18 @@ TIMED_METHODS: Mapping[str, Sequence[tuple[type, str]]] = {
 }
 
 
-class TimedProgram:
-    """Timed parts of a program, in order."""
+def _run_all(stages: Sequence[Stage]) -> Callable[[float], None]:
+    """Return a step that runs stages in order."""
+    calls = CallList([each.call for each in stages])
 
-    def __init__(self, parts: Sequence[Callable[[float], None]]) -> None:
-        """See the class."""
-        self._parts = tuple(parts)
+    def run(now: float) -> None:
+        number = calls.run(0, now)
+        while number < len(stages):
+            if (then := stages[number].then) is not None:
+                then(now)
+            number = calls.run(number + 1, now)
 
-    def run(self, now: float) -> None:
-        """Run all parts at a time, s."""
-        for each in self._parts:
-            each(now)
+    return run
 
 
 class PartTimer(Observer):
@@ -114,7 +120,7 @@ class PartTimer(Observer):
     @contextmanager
     def timing(self) -> Iterator[None]:
         """Time stages and methods inside this context."""
-        timed: list[tuple[Any, str, Any]] = [(stages, "Program", self._timed_program)]
+        timed: list[tuple[Any, str, Any]] = [(loop, "TickLoop", self._timed_loop)]
         timed += [
             (kind, name, self._timed(part, getattr(kind, name)))
             for part, methods in TIMED_METHODS.items()
@@ -155,9 +161,20 @@ class PartTimer(Observer):
         self._part, self._since = part, now
         return before
 
-    def _timed_program(self, all_stages: Sequence[Stage]) -> TimedProgram:
-        groups = itertools.groupby(all_stages, key=lambda each: _PART_OF[each.name])
-        return TimedProgram([self._timed(part, Program(tuple(each)).run) for part, each in groups])
+    def _timed_loop(self, stages: Sequence[Stage], *rest: Any) -> TickLoop:  # noqa: ANN401
+        """Return a loop that runs and times those stages together that are due together."""
+        groups = itertools.groupby(
+            stages, key=lambda each: (_PART_OF[each.name], each.part, each.rate, each.group)
+        )
+        timed = []
+        for (part, *_), group in groups:
+            together = tuple(group)
+            if loop.PAUSE in together:
+                timed.append(loop.PAUSE)
+                continue
+            then = self._timed(part, _run_all(together))
+            timed.append(replace(together[0], call=None, then=then))
+        return TickLoop(timed, *rest)
 
     def _timed(self, part: str, function: Callable[..., Any]) -> Callable[..., Any]:
         def timed(*args: Any, **kwargs: Any) -> Any:  # noqa: ANN401 - as the function

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from testbed.atmosphere.gusts import make_gusts, write_active_gusts
 from testbed.atmosphere.mean_wind import MeanWind
 from testbed.atmosphere.turbulence_field import TurbulenceField, empty_grid
 from testbed.atmosphere.wake import WakeModel
-from testbed.core.call_list import NOW, Call
+from testbed.core.call_list import NOW, Call, Step, run_steps
 from testbed.core.compile import bind_entry
 from testbed.core.records import Airframe, BoolArray, Records
 
@@ -61,14 +61,13 @@ class Atmosphere:
         gusts = make_gusts([], self.mean) if self.gusts is None else self.gusts
         grid = empty_grid() if self.field is None else self.field.grid
         ambient = Call(sample_ambient_wind, *wind, gusts, *grid, local, aircraft, NOW)
-        self.steps: tuple[Call | Callable[[float], None], ...] = (ambient,)
+        self.steps: tuple[Step, ...] = (ambient,)
         if self.gusts is not None:
             self._write_active_gusts = bind_entry(
                 write_active_gusts, gusts, *wind, aircraft, like=(0.0, self._no_gusts())
             )
         if self._dryden is not None:
-            self._dryden.bind(aircraft, local)
-            self.steps += (self._dryden.step,)
+            self.steps += (self._dryden.bind(aircraft, local),)
         if self._wakes is not None:
             self.steps += (self._wakes.bind(aircraft, local),)
 
@@ -77,8 +76,7 @@ class Atmosphere:
 
         Call it once per autopilot period: filters and trails advance by one step.
         """
-        for step in self.steps:
-            step(now)
+        run_steps(self.steps, now)
 
     def remove(self, rows: BoolArray) -> None:
         """Remove aircraft (N,) that are lost: they neither shed wakes nor meet any."""

@@ -14,12 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from testbed.atmosphere.gusts import gust_factor
-from testbed.atmosphere.mean_wind import (
-    UNIFORM,
-    profile_factor,
-    reference_wind,
-    write_displacement,
-)
+from testbed.atmosphere.mean_wind import UNIFORM, profile_factor, reference_wind, write_displacement
 from testbed.atmosphere.turbulence_field import Coefficients, sample_field
 from testbed.core.compile import entry, kernel
 from testbed.core.frames import rotation_rows

@@ -25,13 +25,12 @@ from typing import NamedTuple
 import numpy as np
 
 from testbed.atmosphere.mil_f_8785c import HIGH, LOW
-from testbed.core.compile import bind_entry, entry, kernel
+from testbed.core.call_list import Call, Step
+from testbed.core.compile import entry, kernel
 from testbed.core.errors import InputError
 from testbed.core.frames import COURSE_FLOOR, rotation_rows
-from testbed.core.random import named_stream
-from testbed.core.records import Array, Record, Records, Values, allocate
-
-BLOCK = 256  # steps whose random numbers are drawn at a time; the numbers do not depend on it
+from testbed.core.random import NormalNumbers, named_stream
+from testbed.core.records import Array, Indices, Record, Records, Values, allocate
 
 
 class DrydenMixture(NamedTuple):
@@ -123,42 +122,42 @@ class DrydenTurbulence:
         self._first_order = allocate(FIRST_ORDER, n, parts + 1)
         self._third_order = allocate(THIRD_ORDER, n, 2, parts)
         self._hold_steps = max(1, round(hold_s / dt))
-        self._steps_left = 0  # that the filters are still used
-        self._states_each = 7 * parts + 1
-        self._streams = [named_stream(seed, f"air/{name}") for name in names]
-        self._numbers: Sequence[Array] = ()
-        self._next = 0
+        # steps that the filters are still used, and whether they are to be computed first
+        self._hold = np.zeros(2, dtype=np.intp)
+        streams = [[(named_stream(seed, f"air/{name}"), 7 * parts + 1)] for name in names]
+        self._numbers = NormalNumbers(streams)
         # of unit variance and uncorrelated: stationary from the start
-        self._states = self._draw().copy()
+        self._states = self._numbers.draw().copy()
 
-    def bind(self, aircraft: Records, local: Records) -> None:
-        """Bind to aircraft (N,) of AIRCRAFT and their LOCAL_WIND (N,)."""
+    def bind(self, aircraft: Records, local: Records) -> Step:
+        """Bind to aircraft (N,) of AIRCRAFT and their LOCAL_WIND (N,).
+
+        Returns:
+            The call that advances the filters by dt and adds their turbulence to the wind, and the
+            step where it lacks random numbers or the scales of the present heights.
+        """
         self._aircraft = aircraft
-        self.add = bind_entry(
+        call = Call(
             add_dryden_turbulence,
             *(self._mixture, self._sigma, self._length, self._spans, self._dt),
             *(self._first_order, self._third_order, self._states, local, aircraft),
-            like=(self._states, True),
+            *(self._numbers.block, self._numbers.used, self._hold),
         )
 
-    def step(self, now: float) -> None:
-        """Advance the filters by dt and add their turbulence to the aircraft's wind."""
-        update = self._steps_left == 0
-        if update:
+        def renew(now: float) -> None:
+            self._renew()
+            call(now)
+
+        return call, renew
+
+    def _renew(self) -> None:
+        """Compute the scales of the present heights, and draw numbers, where they are used up."""
+        if self._hold[0] == 0:
             heights = -self._aircraft["truth"]["position_ned"][:, 2]
             self._sigma[:], self._length[:] = self._scales(heights)
-            self._steps_left = self._hold_steps
-        self._steps_left -= 1
-        self.add(self._draw(), update)
-
-    def _draw(self) -> Array:
-        """Return the next standard normal numbers (N, 7 M + 1)."""
-        if self._next == len(self._numbers):
-            shape = BLOCK, self._states_each
-            blocks = [each.standard_normal(shape) for each in self._streams]
-            self._numbers, self._next = list(np.stack(blocks, axis=1)), 0
-        self._next += 1
-        return self._numbers[self._next - 1]
+            self._hold[:] = self._hold_steps, True
+        if self._numbers.used[0] == len(self._numbers.block):
+            self._numbers.refill()
 
 
 @entry
@@ -173,10 +172,13 @@ def add_dryden_turbulence(
     states: Array,
     local: Records,
     aircraft: Records,
-    numbers: Array,
-    update: bool,
-) -> None:
+    block: Array,
+    used: Indices,
+    hold: Indices,
+) -> bool:
     """Advance the filters of all aircraft and add their turbulence to the wind.
+
+    True: there are no random numbers or no scales, and nothing is written.
 
     Turbulence is longitudinal (forward), lateral (right) and vertical (down). Rates are those with
     which the air rotates about body axes: an airframe that turned with it would feel none.
@@ -192,9 +194,17 @@ def add_dryden_turbulence(
         states: (N, 7 M + 1): M longitudinal, one of p, M × 3 lateral, M × 3 vertical; written.
         local: (N,) of LOCAL_WIND.
         aircraft: (N,) of AIRCRAFT; truth is read, the wind is added to.
-        numbers: (N, 7 M + 1), standard normal.
-        update: compute the filters of the present heights and airspeeds first.
+        block: (B, N, 7 M + 1) of `NormalNumbers`.
+        used: (1,) of these; written.
+        hold: (2,) steps that the filters are still used, and whether they are first to be those of
+            the present heights and airspeeds; written.
     """
+    if hold[0] == 0 or used[0] == len(block):
+        return True
+    numbers, update = block[used[0]], hold[1] != 0
+    used[0] += 1
+    hold[0] -= 1
+    hold[1] = 0
     for i in range(len(aircraft)):
         motion, wind, mean = aircraft[i].truth, aircraft[i].wind, local[i].mean_wind
         north = motion.velocity_ned[0] - mean[0]
@@ -213,6 +223,7 @@ def add_dryden_turbulence(
         wind.wind_gradient_rates[0] += p
         wind.wind_gradient_rates[1] += q
         wind.wind_gradient_rates[2] += r
+    return False
 
 
 @kernel

@@ -16,7 +16,7 @@ import numpy as np
 from testbed.core.compile import jitable
 from testbed.core.csv_table import CsvTable, read_table
 from testbed.core.errors import InputError
-from testbed.core.records import Array, Record, Records, Vector, allocate
+from testbed.core.records import Array, Record, Records, Vector, allocate, record_of, write_fields
 
 UNIFORM, LOGARITHMIC, POWER = range(3)  # kinds of profile
 
@@ -30,24 +30,18 @@ WIND_ROW = np.dtype(
     ],
     align=True,
 )
-# The profile of a wind over height.
-PROFILE = np.dtype(
-    [
-        ("kind", "i8"),  # UNIFORM, LOGARITHMIC or POWER
-        ("height", "f8"),  # h_r, m, where the wind has the speed of its rows
-        ("parameter", "f8"),  # roughness z₀, m, or exponent a
-        ("advection", "f8", 3),  # factors of the rows' velocity at the advection height
-    ],
-    align=True,
-)
 
 
 class Profile(NamedTuple):
     """A profile of the wind over height; see `profile_factor`."""
 
-    kind: int = UNIFORM
-    height: float = 1.0  # h_r, m
-    parameter: float = 1.0  # z₀, m, of LOGARITHMIC; exponent a of POWER
+    kind: int = UNIFORM  # UNIFORM, LOGARITHMIC or POWER
+    height: float = 1.0  # h_r, m, where the wind has the speed of its rows
+    parameter: float = 1.0  # z₀, roughness, m, of LOGARITHMIC; exponent a of POWER
+
+
+# A profile, and factors of the rows' velocity at the advection height.
+PROFILE = record_of(Profile, ("advection", "f8", 3))
 
 
 def wind_from_direction(speed: Array | float, direction: Array | float) -> Array:
@@ -118,9 +112,7 @@ def make_mean_wind(
         advection_height: m, whose wind moves the frozen turbulence field and the fronts of gusts.
     """
     records, rows = allocate(PROFILE, 1), allocate(WIND_ROW, len(time))
-    chosen = Profile() if profile is None else profile
-    for name, value in zip(chosen._fields, chosen, strict=True):
-        records[name] = value
+    write_fields(records, profile or Profile())
     advection = np.ones(3)
     advection[:2] = profile_factor(records.view(np.recarray)[0], advection_height)
     records["advection"] = advection

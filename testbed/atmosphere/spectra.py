@@ -160,11 +160,7 @@ def cross_spectra(
 
 
 def coherence(
-    frequency_hz: Array,
-    airspeed: float,
-    length: Array,
-    lateral: float,
-    vertical: float = 0.0,
+    frequency_hz: Array, airspeed: float, length: Array, lateral: float, vertical: float = 0.0
 ) -> Array:
     """Return the coherence (3, F) of two probes, −1..1: cross-spectrum over spectrum.
 

@@ -470,13 +470,7 @@ def wake_delta_cl(roll_gain: float, moment: float, airspeed: float) -> float:
 
 @kernel
 def _add_induced(
-    w: Record,
-    wings: Records,
-    trails: Records,
-    i: int,
-    a: Record,
-    ambient: Vector,
-    flow: Array,
+    w: Record, wings: Records, trails: Records, i: int, a: Record, ambient: Vector, flow: Array
 ) -> None:
     """Add the wind and the rolling moment that the other trails induce on one aircraft."""
     place, axis = _minus(_vector(a.truth.position_ned), w.drift), _wing_axis(a.truth.euler)
@@ -529,11 +523,7 @@ def _wing_axis(euler: Vector) -> Vector:
 
 @kernel
 def _cross(a: Vector, b: Vector) -> Vector:
-    return (
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    )
+    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
 @kernel
@@ -559,11 +549,7 @@ def _minus(a: Vector, b: Vector) -> Vector:
 
 @kernel
 def _between(a: Vector, b: Vector, part: float) -> Vector:
-    return (
-        a[0] + part * (b[0] - a[0]),
-        a[1] + part * (b[1] - a[1]),
-        a[2] + part * (b[2] - a[2]),
-    )
+    return (a[0] + part * (b[0] - a[0]), a[1] + part * (b[1] - a[1]), a[2] + part * (b[2] - a[2]))
 
 
 @kernel

@@ -28,10 +28,7 @@ from testbed.autopilot.sitl_parameters import defaults_text
 from testbed.autopilot.sitl_process import SitlProcess, command_line, find_binary
 from testbed.autopilot.startup import StartupSequence
 from testbed.core.errors import ExternalProgramLost, InputError
-from testbed.core.records import (
-    FbwaCommand,
-    NedOrigin,
-)
+from testbed.core.records import FbwaCommand, NedOrigin
 
 HOST = "127.0.0.1"
 _PHYSICS_PORT, _MAVLINK_PORT, _RC_PORT = 9002, 5760, 5501  # of instance 0
@@ -306,11 +303,7 @@ class SitlVehicle:
             raise ExternalProgramLost(f"{text}; {self.process.output_tail()}")
         if self._count is None:
             line = command_line(
-                "arduplane",
-                self.instance,
-                self._origin,
-                self._config.heading_deg,
-                "FILE.parm",
+                "arduplane", self.instance, self._origin, self._config.heading_deg, "FILE.parm"
             )
             text += f"; start it with: {' '.join(line)}"
         raise ExternalProgramLost(text)

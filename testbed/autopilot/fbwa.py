@@ -175,18 +175,13 @@ def fly_by_wire_a(
         a, m = aircraft[rows[k]], memory[k]
         frozen = a.faults.frozen
         if not frozen or m.period == 0:
-            aileron, elevator, rudder, throttle = fbwa(
-                gains[k], m, delay_line[k], a.estimate, a.command
-            )
+            new = fbwa(gains[k], m, delay_line[k], a.estimate, a.command)
             if not frozen:
-                m.surfaces.aileron = aileron
-                m.surfaces.elevator = elevator
-                m.surfaces.rudder = rudder
-                m.surfaces.throttle = throttle
-        a.surfaces.aileron = m.surfaces.aileron
-        a.surfaces.elevator = m.surfaces.elevator
-        a.surfaces.rudder = m.surfaces.rudder
-        a.surfaces.throttle = m.surfaces.throttle
+                held = m.surfaces
+                held.aileron, held.elevator, held.rudder, held.throttle = new
+        held, out = m.surfaces, a.surfaces
+        out.aileron, out.elevator = held.aileron, held.elevator
+        out.rudder, out.throttle = held.rudder, held.throttle
 
 
 @kernel

@@ -20,13 +20,8 @@ from typing import NamedTuple
 from testbed.core.compile import entry
 from testbed.core.errors import InputError
 from testbed.core.frames import GRAVITY
-from testbed.core.records import (
-    Array,
-    FbwaCommand,
-    Indices,
-    Records,
-)
-from testbed.mavlink.rc_channels import AngleLimits, PwmRange, RcScaling
+from testbed.core.records import Array, FbwaCommand, Indices, Records
+from testbed.mavlink.rc_channels import PwmRange, RcScaling, rc_scaling
 
 MAGIC: dict[int, int] = {18458: 16, 29569: 32}  # magic: outputs; 32 with SERVO_32_ENABLE
 MAX_CHANNELS = 12  # RC channels in the line of JSON
@@ -241,11 +236,7 @@ def make_rc_channels(parameters: Parameters) -> RcChannels:
     limit = parameters["ROLL_LIMIT_DEG"]
     if not limit > 0.0:
         raise ChannelError(f"ROLL_LIMIT_DEG is {limit:g}; write a limit above 0")
-    limits = AngleLimits(
-        roll=math.radians(limit),
-        pitch_max=math.radians(parameters["PTCH_LIM_MAX_DEG"]),
-        pitch_min=math.radians(parameters["PTCH_LIM_MIN_DEG"]),
-    )
+    limits = rc_scaling(parameters).limits
     scaling = RcScaling(roll_range, pitch_range, throttle_range, limits)
     return RcChannels((roll, pitch, throttle, yaw), scaling, yaw_range)
 

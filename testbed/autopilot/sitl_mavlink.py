@@ -128,10 +128,7 @@ class SitlMavlinkClient:
         if message.name == "HEARTBEAT":
             if message.number("autopilot") != constant("MAV_AUTOPILOT_ARDUPILOTMEGA"):
                 return
-            self._target = {
-                "target_system": message.system,
-                "target_component": message.component,
-            }
+            self._target = {"target_system": message.system, "target_component": message.component}
             armed = constant("MAV_MODE_FLAG_SAFETY_ARMED")
             self.armed = bool(int(message.number("base_mode")) & armed)
             self.mode = int(message.number("custom_mode"))

@@ -154,7 +154,6 @@ def _print_stages(world: World) -> None:
     for row in rows:
         cells = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
         typer.echo("  ".join(cells).rstrip())
-    typer.echo("then all flight models run to the next tick")
 
 
 def _programs(scenario: Scenario) -> Iterator[str]:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from testbed.core.errors import ExternalProgramLost, InputError
+from testbed.flight.external_control import ExternalControl
 from testbed.flight.schedule import TickActions
-from testbed.flight.world import ExternalCommands
 from testbed.scenario.fields import is_number
 from testbed.scenario.validate import shown_value
 
@@ -31,11 +31,14 @@ class TickGate:
         pacer: of the run; None: as fast as possible.
         stop: whether a stop was requested.
         announce: receives messages to the user during long waits.
+
+    Attributes:
+        each_tick: whether it is to be called before each tick; else there is only the stop.
     """
 
     def __init__(
         self,
-        control: ExternalCommands | None,
+        control: ExternalControl | None,
         server: MavlinkServer | None,
         pacer: RealTimePacer | None,
         stop: Callable[[], bool],
@@ -44,7 +47,7 @@ class TickGate:
         """Start before the first tick."""
         self._control, self._server, self._pacer, self._stop = control, server, pacer, stop
         self._announce = announce
-        self._open = control is None and server is None and pacer is None
+        self.each_tick = not (control is None and server is None and pacer is None)
         self._sample_s: float | None = None
 
     def __call__(self, now: float, due: TickActions) -> bool:
@@ -53,7 +56,7 @@ class TickGate:
         Raises:
             ExternalProgramLost: no lockstep command came in time.
         """
-        if self._open:
+        if not self.each_tick:
             return self._stop()
         if self._control is not None and self._sample_s is not None:
             self._control.expect_commands(self._sample_s)
@@ -78,7 +81,7 @@ class TickGate:
             self._server.wait(left, now)
         return not self._stop()
 
-    def _wait_for_commands(self, control: ExternalCommands, now: float) -> None:
+    def _wait_for_commands(self, control: ExternalControl, now: float) -> None:
         start = repeated = time.monotonic()
         announced = False
         while (names := control.waiting) and self._server is not None and not self._stop():

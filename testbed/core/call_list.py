@@ -10,7 +10,7 @@ from __future__ import annotations
 import functools
 import hashlib
 from collections.abc import Callable, Sequence
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,6 +51,11 @@ class Call:
             words += _to_words(value, kind)
         return words
 
+    @property
+    def address(self) -> int:
+        """Address of the words, for `call_words`."""
+        return int(self.words.ctypes.data)
+
     def bind(self) -> None:
         """Write down the addresses, which else the first call does; after `compile.prepare`."""
         if not is_interpreted():
@@ -74,6 +79,20 @@ class Call:
     @functools.cached_property
     def _alone(self) -> CallList:
         return CallList([self])
+
+
+PythonStep: TypeAlias = Callable[[float], object]  # of the time of a tick, s
+# In a pair the step of Python runs where the call returns something but 0.
+Step: TypeAlias = Call | PythonStep | tuple[Call, PythonStep]
+
+
+def run_steps(steps: Sequence[Step], now: float) -> None:
+    """Run steps from Python at a time, s."""
+    for step in steps:
+        if not isinstance(step, tuple):
+            step(now)
+        elif step[0](now):
+            step[1](now)
 
 
 class CallList:
@@ -102,7 +121,7 @@ class CallList:
     @functools.cached_property
     def _addresses(self) -> Words:
         """Address of the words of each call; 0: none."""
-        found = (0 if each is None else each.words.ctypes.data for each in self._calls)
+        found = (0 if each is None else each.address for each in self._calls)
         return np.fromiter(found, dtype=np.uint64, count=len(self._calls))
 
     def _run_compiled(self, first: int, now: float) -> int:
@@ -287,7 +306,9 @@ def _make_call() -> Any:  # noqa: ANN401 - numba's
     return call
 
 
-_call = _make_call()  # of the module: in a closure, machine code on disk would not be found
+# Calls an entry by the address of the words of its `Call`, at a time; of the module: in a closure,
+# machine code on disk would not be found.
+call_words = _make_call()
 
 
 @entry
@@ -296,7 +317,7 @@ def _run_calls(addresses: Words, first: int, now: float, found: NDArray[np.int64
     for number in range(first, len(addresses)):
         found[0] = 0
         if addresses[number] != 0:
-            found[0] = _call(addresses[number], now)
+            found[0] = call_words(addresses[number], now)
             if found[0] == 0:
                 continue
         return number

@@ -306,11 +306,11 @@ class LinkCounters(NamedTuple):
 
 
 def record_of(kind: type, *more: tuple[Any, ...], without: Sequence[str] = ()) -> np.dtype[Any]:
-    """Return the dtype of one element of the arrays of a named tuple.
+    """Return the dtype of one element of the arrays of a named tuple, or of one tuple of numbers.
 
     Args:
-        kind: the named tuple; an array with several numbers for each element is annotated with
-            their number.
+        kind: the named tuple; an array with several numbers for each element, or a tuple of
+            numbers, is annotated with their number.
         more: further fields, as of a dtype.
         without: fields that the records do not have.
     """
@@ -324,7 +324,8 @@ def record_of(kind: type, *more: tuple[Any, ...], without: Sequence[str] = ()) -
     return np.dtype([*fields, *more], align=True)
 
 
-_ONE = {BoolArray: "?", ByteArray: "u1", UIntArray: "u4"}  # of arrays that are not float64
+# Of arrays and numbers that are not float64.
+_ONE = {BoolArray: "?", ByteArray: "u1", UIntArray: "u4", bool: "?", int: "i8"}
 
 MOTION = record_of(VehicleState)  # the truth, or an autopilot's estimate of it
 WIND = record_of(WindInput)

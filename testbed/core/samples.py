@@ -103,12 +103,12 @@ class SampleBuffer:
             )
         if sample.records is not None:
             append: Any = _append
-            append(*self._rows, *sample.records, 1.0, 0.0)
+            append(*self._rows, *sample.records, 1.0, float(sample.tick))
         else:
             self._copy(sample, count)
+            self._ticks[count] = sample.tick
             self._count += 1
         self._inexact[count] = sample.estimate is not sample.truth
-        self._ticks[count] = sample.tick
 
     def _copy(self, sample: Sample, count: int) -> None:
         aircraft, formation = self._aircraft[count], sample.formation

@@ -6,7 +6,8 @@ continuous derivative. Outside it continues along straight lines.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -98,6 +99,15 @@ def _compare(table: Records, x: Array, exact: Array) -> None:
         worst = int(errors.argmax())
         if errors[worst] > allowed + 1e-9:
             raise Rough(float(at[worst]))
+
+
+def pack_functions(dtype: np.dtype[Any], functions: Sequence[Any]) -> Records:
+    """Pack named tuples, whose tables are records (1,) of TABLE, into records (n,)."""
+    records = allocate(dtype, len(functions))
+    for k, function in enumerate(functions):
+        for name, value in function._asdict().items():
+            records[name][k] = value[0] if isinstance(value, np.ndarray) else value
+    return records
 
 
 def sample_table(table: Records, x: Array) -> tuple[Array, Array]:

@@ -40,6 +40,9 @@ if TYPE_CHECKING:
     from testbed.flight.membership import FormationMembership
 
 LEADER_TIMEOUT = int(LimiterFlag.LEADER_TIMEOUT)
+# what `_step` does: the law of [HBH23] with its middle loop, or after a user's law the middle loop
+# and message ages, or these alone
+_LAW, _MIDDLE_LOOP, _AGES = 0, 1, 2
 _UNKNOWN = ("speed_desired", "airspeed_command", "course_desired", "flight_path_angle_desired")
 
 
@@ -98,7 +101,7 @@ class Control:
         self._parts = parts
         # of groups with a user's law: what comes after that, with and without middle loop
         self._finish = [
-            tuple(Call(_finish, group.rows, *parts, loop, NOW) for loop in (False, True))
+            tuple(Call(_step, group.rows, *parts, what, NOW) for what in (_AGES, _MIDDLE_LOOP))
             if group.law is not None
             else ()
             for group in groups
@@ -140,7 +143,7 @@ class Control:
         """Return the steps of a group's control."""
         group, companions = self.groups[number], self._companions
         step: Call | Callable[[float], None] = (
-            Call(_control, group.rows, *self._parts, NOW)
+            Call(_step, group.rows, *self._parts, _LAW, NOW)
             if group.law is None
             else partial(self._step_user_law, number, group, group.law)
         )
@@ -204,7 +207,7 @@ class Control:
 
 
 @entry
-def _control(
+def _step(
     rows: Indices,
     controllers: Records,
     neighbours: Records,
@@ -212,41 +215,19 @@ def _control(
     aircraft: Records,
     followers: Records,
     links: Records,
+    what: int,
     now: float,
 ) -> None:
-    """Step the followers in these rows (m,) by the law of [HBH23], with the estimates of `own`."""
+    """Step the followers in these rows (m,), with the estimates of `own`, by one of the parts."""
     for i in rows:
         estimate, control = own[i + 1].estimate, aircraft[i + 1].control
-        control_step(controllers[i], now, estimate, links[i], neighbours[i], followers[i], control)
-
-
-@entry
-def _finish(
-    rows: Indices,
-    controllers: Records,
-    neighbours: Records,
-    own: Records,
-    aircraft: Records,
-    followers: Records,
-    links: Records,
-    with_middle_loop: bool,
-    now: float,
-) -> None:
-    """Run the middle loops of a user's law, and write the message ages."""
-    for i in rows:
-        if with_middle_loop:
-            finish_step(
-                controllers[i],
-                now,
-                own[i + 1].estimate,
-                links[i],
-                neighbours[i],
-                False,
-                followers[i],
-                aircraft[i + 1].control,
-            )
+        controller, link, neighbour = controllers[i], links[i], neighbours[i]
+        if what == _LAW:
+            control_step(controller, now, estimate, link, neighbour, followers[i], control)
+        elif what == _MIDDLE_LOOP:
+            finish_step(controller, now, estimate, link, neighbour, False, followers[i], control)
         else:
-            message_ages(now, neighbours[i], False, links[i])
+            message_ages(now, neighbour, False, link)
 
 
 @contextmanager

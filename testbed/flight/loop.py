@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Protocol, Self
+from collections.abc import Callable, Iterator, Sequence
+from typing import TypeAlias
 
 import numpy as np
 
-from testbed.core.call_list import NOW, Call
+from testbed.core.call_list import Call, run_steps
 from testbed.core.compile import prepare, registered, registering
 from testbed.core.records import (
     AirData,
-    BoolArray,
-    Event,
     FormationState,
     Observer,
     Sample,
@@ -20,34 +18,31 @@ from testbed.core.records import (
     fields_of,
     write_fields,
 )
-from testbed.core.samples import SampleBuffer, copy_sample, make_sample
-from testbed.flight.monitors import GustMonitor, JoinMonitor, LinkMonitor, LossMonitor
+from testbed.core.samples import make_sample
+from testbed.flight.formation_stages import FormationStages
+from testbed.flight.monitors import GustMonitor, LossMonitor
+from testbed.flight.observers import EventQueue, Observers, take_block
 from testbed.flight.schedule import TickActions
 from testbed.flight.stages import (
     FlightRecords,
     Part,
-    Programs,
     Stage,
     StageRate,
     UserStage,
     insert_stages,
     make_stages,
 )
-from testbed.flight.steps import (
-    copy_control,
-    copy_truth,
-    find_losses,
-    has_events,
-    write_messages,
-)
+from testbed.flight.steps import copy_truth, find_losses, has_events
+from testbed.flight.tick_loop import LOOK_TICKS, TickInputs, TickLoop
+from testbed.flight.vehicles import Move
 from testbed.flight.world import World
-from testbed.formation.slots import write_formation_state
-from testbed.network.outages import OutageEvents
+
+Ended: TypeAlias = Callable[[float, TickActions], bool]
+# Where a flight waits for commands of its caller.
+PAUSE = Stage(Part.SENSE, StageRate.TICK, "wait for the caller")
 
 
-def fly(
-    world: World, observers: Sequence[Observer], ended: Callable[[float, TickActions], bool]
-) -> str:
+def fly(world: World, observers: Sequence[Observer], ended: Ended) -> str:
     """Fly a world to its end; see `Flight.fly`."""
     flight = Flight(world, observers)
     flight.prepare()
@@ -78,48 +73,43 @@ class Flight:
         """
         self._world = world
         aircraft, followers, links = world.aircraft, world.followers, world.links
-        n = len(followers)
-        self._control, self._radio = world.control, world.radio
         self._truth = fields_of(VehicleState, aircraft["truth"])
         self._estimate = fields_of(VehicleState, aircraft["estimate"])
         self._exact = world.estimators.exact
-        self._sending: BoolArray | None = None  # what `set_senders` has set
-        self._planned_s = np.full(n + 1, np.nan)  # transmission times; NaN: at the tick
-        self._own_times = False  # some are not
-        built = world.built_control
-        self._link_monitor = LinkMonitor(
-            world.names,
-            built.neighbours,
-            (followers, links),
-            world.radio.statistics,
-            (built.config.leader_timeout_s, built.config.neighbour_timeout_s),
-            builtin=built.builtin,
-            hold=built.hold_stale_neighbours,
-        )
+        n = len(aircraft)
+        senders = np.zeros(n, dtype=bool) if world.parts is None else world.parts.radio.senders
+        steps, needed = np.zeros(1, dtype=np.intp), np.ones(n, dtype=bool)
+        self._inputs = TickInputs(senders, np.full(n, np.nan), steps, needed)
         self._losses = LossMonitor(world.names, world.proximity, world.faults, fly_on=world.fly_on)
         self._gust_monitor = GustMonitor(world.gusts, world.names)
-        self._join_monitor = JoinMonitor(
-            world.names[1:], world.clock.base_rate_hz, aircraft, followers
-        )
-        self._outages = OutageEvents(world.outages)
         self._observers = Observers(observers)
         self._sample = make_sample(
             aircraft, followers, links, exact=self._exact, faults=world.faults is not None
         )
         self._events = EventQueue(world.initial_events)
-        self._left = np.zeros(n, dtype=bool)
-        self._without_slot = self._left.copy()  # also followers commanded from outside
-        self._write_formation = Call(
-            write_formation_state, aircraft, followers, self._control.offsets, world.altitudes
-        )
+        self._formation: FormationStages | None = None
+        if world.parts is not None:
+            self._formation = FormationStages(
+                world,
+                world.parts,
+                self._truth,
+                self._losses,
+                self._events,
+                self._inputs.planned_s,
+            )
         self.ending: str | None = None
         records = FlightRecords(aircraft, followers, links)
         self.stages = insert_stages(tuple(self._make_stages()), stages, records)
-        self._programs = Programs(self.stages, tuple(Part))
-        self._sense = Programs(self.stages, (Part.SENSE,))
-        self._rest = Programs(self.stages, (Part.CONTROL, Part.ACTUATE, Part.OBSERVE))
-        self._steering = Programs(self.stages, (Part.CONTROL,))
+        self._loop = self._make_loop(self.stages)
+        sense = [each for each in self.stages if each.part is Part.SENSE]
+        rest = self.stages[len(sense) :]
+        self._paused_loop = self._make_loop((*sense, PAUSE, *rest))
+        control = (each for each in rest if each.part is Part.CONTROL)
+        self._steering = self._make_loop((*sense, *control))
         self._entries = *world.entries, *registered()
+
+    def _make_loop(self, stages: Sequence[Stage]) -> TickLoop:
+        return TickLoop(stages, self._inputs, self._world.clock.base_rate_hz)
 
     def _make_stages(self) -> Iterator[Stage]:
         """Yield the stages of a tick."""
@@ -127,6 +117,11 @@ class Flight:
         yield from self._controlling()
         yield from self._actuating()
         yield from self._observing()
+        move = Move(self._inputs.steps, self._inputs.needed)
+        for each in self._world.vehicles:
+            steps = each.move_steps(move)
+            name = "move to the next tick"
+            yield from make_stages(Part.MOVE, StageRate.TICK, name, steps)
 
     def _sensing(self) -> Iterator[Stage]:
         """Wind, faults that begin and end, sensor errors and estimates."""
@@ -149,50 +144,29 @@ class Flight:
             yield Stage(part, StageRate.TICK, name, call=Call(copy_truth, aircraft))
         else:
             advance, keep = world.estimators.steps(aircraft)
-            yield Stage(part, StageRate.AUTOPILOT, "advance sensors and estimates", then=advance)
-            yield Stage(part, StageRate.BETWEEN, "estimate with the present errors", then=keep)
-        if world.companions is not None:
-            call = world.companions.store_states
-            yield Stage(part, StageRate.AUTOPILOT, "send states to the companions", call=call)
+            name = "advance sensors and estimates"
+            yield from make_stages(part, StageRate.AUTOPILOT, name, advance)
+            name = "estimate with the present errors"
+            yield from make_stages(part, StageRate.BETWEEN, name, keep)
+        if self._formation is not None:
+            yield from self._formation.companion_stages()
 
     def _controlling(self) -> Iterator[Stage]:
         """Messages, the formation law with its middle loop, the leader's guidance."""
-        world, part, radio = self._world, Part.CONTROL, self._radio
-        aircraft = world.aircraft
-        call = Call(write_messages, aircraft, radio.messages, self._planned_s, radio.sent_s, NOW)
-        yield Stage(part, StageRate.BROADCAST, "write messages", call=call)
-        send, then = radio.send_stage(self._truth)
-        yield Stage(part, StageRate.BROADCAST, "send messages", call=send, then=then)
-        yield Stage(part, StageRate.CONTROL, "deliver messages", call=radio.deliver_call)
-        for group in range(len(world.control.groups)):
-            if world.control.has_membership:
-                name = "respond to declared failures"
-                step = self._membership_step(group)
-                yield Stage(part, StageRate.CONTROL, name, then=step, group=group)
-            name = "step law and middle loop"
-            steps = world.control.steps(group)
-            yield from make_stages(part, StageRate.CONTROL, name, steps, group)
-            rows = world.control.groups[group].rows
-            call, then = self._link_monitor.neighbour_call(rows), self._neighbour_changes
-            name = "count message ages, find timeouts"
-            yield Stage(part, StageRate.CONTROL, name, call=call, then=then, group=group)
-        if world.external_control is not None:
+        formation = self._formation
+        if formation is not None:
+            yield from formation.law_stages()
+        if self._world.external_control is not None:
             name = "guide aircraft commanded from outside"
-            yield Stage(part, StageRate.GUIDANCE, name, then=self._guide_external)
-        steps = world.leader_controller.steps(aircraft)
-        yield from make_stages(part, StageRate.GUIDANCE, "guide the leader", steps)
-        for each in world.vehicles:
-            steps = each.steering_steps(world.followers, world.leader_controller.input)
-            yield from make_stages(part, StageRate.CONTROL, "steer ideal vehicles", steps)
-        yield Stage(part, StageRate.CONTROL, "give commands to autopilots", call=self._command_call)
-        call, then = self._link_monitor.leader_call, self._leader_changes
-        yield Stage(part, StageRate.CONTROL, "find timeouts of the leader", call=call, then=then)
+            yield Stage(Part.CONTROL, StageRate.GUIDANCE, name, then=self._guide_external)
+        if formation is not None:
+            yield from formation.command_stages()
 
     def _actuating(self) -> Iterator[Stage]:
         """External commands, fly-by-wire A, actuator faults, losses."""
         world, part, rate = self._world, Part.ACTUATE, StageRate.AUTOPILOT
-        if world.companions is not None or world.external_control is not None:
-            yield Stage(part, rate, "give commands to autopilots", call=self._command_call)
+        if self._formation is not None:
+            yield from self._formation.late_command_stages()
         if world.external_control is not None:
             yield Stage(part, rate, "take commands from outside", then=self._override_commands)
         for vehicles in world.vehicles:
@@ -208,7 +182,7 @@ class Flight:
         proximity = world.proximity
         call = Call(
             find_losses,
-            *(world.aircraft, world.scripted_leader),
+            *(world.aircraft, world.parts is not None and world.parts.scripted_leader),
             *(proximity.limit_m, proximity.minimum_m, proximity.watching),
         )
         yield Stage(part, rate, "find losses and encounters", call=call, then=self._lose)
@@ -218,16 +192,11 @@ class Flight:
         world, part, rate = self._world, Part.OBSERVE, StageRate.LOG
         if world.air is not None and world.gusts:
             yield Stage(part, rate, "find gusts that reach aircraft", then=self._find_gusts)
-        if world.outages.windows:
-            yield Stage(part, rate, "find outages", then=self._find_outages)
-        name = "write slots and errors"
-        yield Stage(part, rate, name, call=self._write_formation)
-        joins, envelope = self._join_monitor, world.envelope
-        yield Stage(part, rate, "find joins", call=joins.call, then=self._find_joins)
-        if world.external_control is not None:
-            name = "find followers commanded from outside"
-            yield Stage(part, rate, name, then=self._find_left)
-        call = envelope.bind(world.aircraft, world.followers, self._without_slot)
+        without_slot = np.zeros(0, dtype=bool)
+        if self._formation is not None:
+            yield from self._formation.slot_stages()
+            without_slot = self._formation.without_slot
+        call = world.envelope.bind(world.aircraft, world.followers, without_slot)
         yield Stage(part, rate, "find limits exceeded", call=call, then=self._find_excess)
         yield from self._giving_samples()
 
@@ -235,7 +204,8 @@ class Flight:
         """Samples for the observers: in blocks where they take these."""
         world, part, rate, observers = self._world, Part.OBSERVE, StageRate.LOG, self._observers
         buffers = []
-        if world.external_control is None:  # else a sample is not just a copy of the records
+        # where aircraft of a formation are commanded, a sample is not just a copy of the records
+        if world.external_control is None or world.parts is None:
             buffers = [(each, each.share(len(world.names))) for each in observers.of_blocks]
         records = world.aircraft, world.followers, world.links
         for each, buffer in buffers:
@@ -269,23 +239,23 @@ class Flight:
                 each.call.bind()
         self._world.estimators.warm_up(self._world.aircraft)
 
-    def fly(self, ended: Callable[[float, TickActions], bool]) -> str:
+    def fly(self, ended: Ended) -> str:
         """Fly to the end, after `prepare`; observers get a sample at the log rate.
 
         Args:
-            ended: called before each tick with its time, s, and what is due; it may wait, and
-                true ends the run.
+            ended: called before each tick with its time, s, and what is due, or before a block of
+                ticks if its attribute `each_tick` is false; it may wait, and true ends the run.
 
         Returns:
             The outcome: "completed", "lost", "envelope_exceeded", "formation_lost",
             "separation_lost" or "interrupted".
         """
-        for now, due in self._ticks(ended):
-            self._programs.run(due, now)
+        for _ in self._run(self._loop, ended):
+            pass
         assert self.ending is not None
         return self.ending
 
-    def ticks(self, ended: Callable[[float, TickActions], bool]) -> Iterator[float]:
+    def ticks(self, ended: Ended) -> Iterator[float]:
         """Fly tick by tick, after `prepare`; `ending` is the outcome when the iterator has ended.
 
         Args:
@@ -294,50 +264,41 @@ class Flight:
         Yields:
             The time of a tick, s, when its estimates are written, before its control.
         """
-        for now, due in self._ticks(ended):
-            self._sense.run(due, now)
-            yield now
-            self._rest.run(due, now)
+        return self._run(self._paused_loop, ended)
 
-    def _ticks(
-        self, ended: Callable[[float, TickActions], bool]
-    ) -> Iterator[tuple[float, TickActions]]:
-        """Yield time, s, and actions of each tick, whose stages are then run; step the vehicles."""
-        world = self._world
+    def _run(self, loop: TickLoop, ended: Ended) -> Iterator[float]:
+        """Run blocks of ticks to the end of the flight; yield the time of each pause, s."""
+        world, look = self._world, 1 if getattr(ended, "each_tick", True) else LOOK_TICKS
         last = world.clock.ticks(world.duration_s)
-        for tick, due, ticks, needed in world.clock.schedule(
-            world.duration_s, all_motions=world.radio.needs_all_positions
-        ):
-            now = world.clock.time_s(tick)
-            if ended(now, due):
-                self.ending = "interrupted"
-                return
-            self._tick = tick
-            self.set_senders(due)
-            yield now, due
-            if self.ending or tick + ticks > last:
+        all_motions = world.parts is not None and world.parts.radio.needs_all_positions
+        for rows, period in world.clock.blocks(all_motions=all_motions):
+            loop.load(rows, period, last)
+            while loop.in_block:
+                if ended(loop.time_s, loop.due):
+                    self.ending = "interrupted"
+                    return
+                loop.limit(look)
+                while (stage := loop.run()) is not None:
+                    if stage is PAUSE:
+                        yield loop.time_s
+                    elif stage.then is not None:
+                        stage.then(loop.time_s)
+                        if look > 1 and self.ending is None and ended(loop.time_s, loop.due):
+                            self.ending = "interrupted"
+                    loop.resume(ending=self.ending is not None)
+            if loop.done:
                 break
-            for vehicles in world.vehicles:
-                vehicles.step(ticks, needed)
         self.ending = self.ending or self.outcome
 
     def steer(self, now: float, due: TickActions) -> None:
         """Sense and control at a time, s, without stepping autopilots: for measurements."""
-        self.set_senders(due)
-        self._sense.run(due, now)
-        self._steering.run(due, now)
-
-    def set_senders(self, due: TickActions) -> None:
-        """Set which aircraft transmit at a tick, and when."""
-        if due.broadcast is not self._sending and due.broadcast is not None:
-            self._sending = due.broadcast
-            self._radio.senders[:] = due.broadcast
-        if due.sent_s is not None:
-            self._planned_s[:] = due.sent_s
-            self._own_times = True
-        elif self._own_times:
-            self._planned_s[:] = np.nan
-            self._own_times = False
+        tick = self._world.clock.ticks(now)
+        self._steering.load([(tick, due, 0, ())], 0, tick)
+        self._steering.limit(1)
+        while (stage := self._steering.run()) is not None:
+            if stage.then is not None:
+                stage.then(now)
+            self._steering.resume()
 
     def sample(self, now: float) -> Sample:
         """Return the state at a tick that `ticks` has yielded, as views of the records.
@@ -346,7 +307,8 @@ class Flight:
             now: its time, s.
         """
         self._read_air()
-        self._write_formation(now)
+        if self._formation is not None:
+            self._formation.write_slots(now)
         return self._sample._replace(tick=self._world.clock.ticks(now), time_s=now)
 
     @property
@@ -363,35 +325,14 @@ class Flight:
         assert faults is not None, "a stage of flights with faults"
         self._events += faults.changes(now, self._truth, self._read_air, lost)
         write_fields(self._world.aircraft["faults"], faults.state)
-        self._radio.muted[:] = faults.state.transmitter_off | faults.state.frozen | lost
-
-    def _membership_step(self, group: int) -> Callable[[float], None]:
-        def respond(now: float) -> None:
-            if changes := self._control.update_membership(group, now):
-                self._events += changes
-                self._update_left()
-
-        return respond
-
-    def _neighbour_changes(self, now: float) -> None:
-        self._events += self._link_monitor.neighbour_changes(now)
-
-    def _leader_changes(self, now: float) -> None:
-        self._events += self._link_monitor.leader_changes(now)
+        if self._formation is not None:
+            self._formation.mute(faults.state.transmitter_off | faults.state.frozen | lost)
 
     def _guide_external(self, now: float) -> None:
         world = self._world
         assert world.external_control is not None, "a stage of flights commanded from outside"
         frozen = None if world.faults is None else world.faults.state.frozen
         world.external_control.guide(now, self._estimate, self._losses.lost, frozen)
-
-    @property
-    def _command_call(self) -> Call:
-        """Write the commands of law and guidance that the autopilots have now."""
-        companions = self._world.companions
-        if companions is None:
-            return Call(copy_control, self._world.aircraft)
-        return companions.deliver_commands
 
     def _override_commands(self, now: float) -> None:
         external = self._world.external_control
@@ -408,32 +349,21 @@ class Flight:
         assert air is not None, "a stage of flights with gusts"
         self._events += self._gust_monitor.changes(now, air.active_gusts(now))
 
-    def _find_outages(self, now: float) -> None:
-        """Add outages before other events: what is scripted comes before what follows from it."""
-        self._events.put_first(self._outages.changes(now))
-
-    def _find_joins(self, now: float) -> None:
-        self._events += self._join_monitor.changes(now)
-
-    def _find_left(self, now: float) -> None:
-        external = self._world.external_control
-        assert external is not None, "a stage of flights commanded from outside"
-        self._without_slot[:] = external.left_formation(self._left)
-
     def _find_excess(self, now: float) -> None:
         self._events += self._world.envelope.changes(now)
 
     def _observe(self, now: float) -> None:
         """Hand a sample and the events to the observers; end the run where it is over."""
         world, sample, followers = self._world, self._sample, self._world.followers
-        if world.external_control is not None:
+        if world.external_control is not None and world.parts is not None:
             masked = world.external_control.mask_diagnostics(followers)
             if masked is not followers:
                 records = world.aircraft, masked, world.links
                 formation = fields_of(FormationState, masked, age_s=world.links["age_s"])
                 sample = sample._replace(formation=formation, records=records)
         events = self._events.take()
-        self._observers.observe(sample._replace(tick=self._tick, time_s=now, events=events))
+        tick = self._world.clock.ticks(now)
+        self._observers.observe(sample._replace(tick=tick, time_s=now, events=events))
         if self._losses.terminate:
             self.ending = "lost"
         elif world.envelope.terminate or world.proximity.terminate:
@@ -452,110 +382,11 @@ class Flight:
             vehicles.remove(lost)
         if world.air is not None:
             world.air.remove(lost)
-        self._radio.muted |= lost
-        self._update_left()
-
-    def _update_left(self) -> None:
-        self._left = self._control.left | self._losses.lost[1:]
-        self._without_slot[:] = self._left
-        self._link_monitor.set_left(self._left)
+        if self._formation is not None:
+            self._formation.remove(lost)
 
     def _read_air(self) -> AirData:
         """Read the flight models; the wind is that of the records, sampled at this tick."""
         for vehicles in self._world.vehicles:
-            for step in vehicles.air_steps:
-                step(0.0)
+            run_steps(vehicles.air_steps, 0.0)
         return self._sample.air
-
-
-class EventQueue:
-    """Events since the last sample.
-
-    Attributes:
-        waiting: (1,) whether there are any.
-    """
-
-    def __init__(self, events: Iterable[Event]) -> None:
-        """Begin with the events from before the flight."""
-        self._events = list(events)
-        self.waiting: BoolArray = np.array([bool(self._events)])
-
-    def __iadd__(self, events: Iterable[Event]) -> Self:
-        """Add events."""
-        self._events += events
-        self.waiting[0] = bool(self._events)
-        return self
-
-    def put_first(self, events: Iterable[Event]) -> None:
-        """Add events before the others."""
-        self._events[:0] = events
-        self.waiting[0] = bool(self._events)
-
-    def take(self) -> tuple[Event, ...]:
-        """Return all events, and forget them."""
-        events = tuple(self._events)
-        self._events.clear()
-        self.waiting[0] = False
-        return events
-
-
-class BlockObserver(Observer, Protocol):
-    """An observer that takes samples in blocks, which compiled code fills."""
-
-    takes_blocks: str  # what it makes of them
-
-    def share(self, aircraft: int) -> SampleBuffer:
-        """Return the buffer for samples of N aircraft, once, before `begin`."""
-
-    def add_events(self, events: Sequence[Event]) -> None:
-        """Take the events since the last sample, which is in the buffer."""
-
-    def take_block(self) -> None:
-        """Take all samples of the buffer, which is full, and empty it."""
-
-
-def take_block(observer: BlockObserver) -> Callable[[float], None]:
-    """Return the step that gives an observer its full block."""
-    return lambda now: observer.take_block()
-
-
-class Observers:
-    """The observers of a run.
-
-    A sample of the loop has views of the run's records, which the next ticks change. An observer
-    that copies what it needs at once has an attribute `zero_copy` that is true; all others share
-    one copy. One with an attribute `takes_blocks` is a `BlockObserver`.
-    """
-
-    def __init__(self, observers: Sequence[Observer]) -> None:
-        """Sort observers by what they take."""
-        self._direct = [each for each in observers if getattr(each, "zero_copy", False)]
-        self._others = [each for each in observers if each not in self._direct]
-        self._of_blocks: list[BlockObserver] = []
-
-    @property
-    def of_blocks(self) -> list[BlockObserver]:
-        """Observers that can take blocks."""
-        return [each for each in self._direct if getattr(each, "takes_blocks", "")]  # type: ignore[misc]
-
-    @property
-    def of_samples(self) -> list[Observer]:
-        """Observers that take single samples."""
-        return [*self._direct, *self._others]
-
-    def divide(self, of_blocks: Sequence[BlockObserver]) -> None:
-        """Give these observers blocks from now on."""
-        self._of_blocks = list(of_blocks)
-        self._direct = [each for each in self._direct if each not in of_blocks]
-
-    def observe(self, sample: Sample) -> None:
-        """Pass a sample to observers of samples, and its events to those of blocks."""
-        if sample.events:
-            for taker in self._of_blocks:
-                taker.add_events(sample.events)
-        for each in self._direct:
-            each.observe(sample)
-        if self._others:
-            copied = copy_sample(sample)
-            for each in self._others:
-                each.observe(copied)

@@ -8,12 +8,14 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from operator import or_
+from typing import TypeAlias
 
 import numpy as np
 
 from testbed.core.errors import InputError
 from testbed.core.records import Array, BoolArray
 
+BLOCK = 64  # rows of an irregular schedule at once
 PHASE_HZ = 100  # phases of unsynchronised aircraft are multiples of its period
 
 
@@ -28,6 +30,10 @@ class TickActions:
     autopilot: bool  # wind, sensor errors and autopilots step
     log: bool  # observers receive a sample
     needed: tuple[bool, ...] | None  # (N,) aircraft whose motion is read; None: all
+
+
+# A tick, its actions, the number of ticks to the next, and the rows read there; None: all.
+Scheduled: TypeAlias = tuple[int, TickActions, int, tuple[int, ...] | None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,9 +92,7 @@ class Clock:
         """Return the number of ticks in a duration, rounded to the nearest."""
         return round(duration_s * self.base_rate_hz)
 
-    def schedule(
-        self, duration_s: float, *, all_motions: bool = False
-    ) -> Iterator[tuple[int, TickActions, int, tuple[int, ...] | None]]:
+    def schedule(self, duration_s: float, *, all_motions: bool = False) -> Iterator[Scheduled]:
         """Yield the ticks up to the duration at which something happens.
 
         Each is yielded with its actions, the number of ticks to the next, and the rows of the
@@ -98,26 +102,40 @@ class Clock:
             duration_s: of the flight.
             all_motions: read the motion of all aircraft at each tick.
         """
-        pattern, period, last = self._pattern(), self.period, self.ticks(duration_s)
+        last = self.ticks(duration_s)
+        blocks = self.blocks(all_motions=all_motions)
+        rows = (
+            (repetition * period + tick, due, ticks, needed)
+            for block, period in blocks
+            for repetition in (itertools.count() if period else (0,))
+            for tick, due, ticks, needed in block
+        )
+        return itertools.takewhile(lambda event: event[0] <= last, rows)
+
+    def blocks(self, *, all_motions: bool = False) -> Iterator[tuple[list[Scheduled], int]]:
+        """Yield the rows of `schedule` without an end, in blocks.
+
+        Each is yielded with the period, in ticks, at which it repeats from then on, or 0 if it does
+        not: then others follow.
+        """
+        pattern, period = self._pattern(), self.period
         first = self._actions(0, start=True)
-        if self.transmit_schedules:
-            repetitions = (
-                (repetition * period + tick, due)
-                for repetition in itertools.count()
-                for tick, due in pattern
-            )
-            events = itertools.chain([(0, first)], itertools.islice(repetitions, 1, None))
-            intervals = _intervals(self._add_transmissions(events), all_motions=all_motions)
-        else:
-            repeated = list(
-                _intervals([*pattern, (period, pattern[0][1])], all_motions=all_motions)
-            )
-            intervals = (
-                (repetition * period + tick, due if repetition or tick else first, ticks, needed)
-                for repetition in itertools.count()
-                for tick, due, ticks, needed in repeated
-            )
-        return itertools.takewhile(lambda event: event[0] <= last, intervals)
+        if not self.transmit_schedules:
+            repeated = [*pattern, (period, pattern[0][1])]
+            rows = list(_intervals(repeated, all_motions=all_motions))
+            _, _, ticks, needed = rows[0]
+            yield [(0, first, ticks, needed), *rows[1:]], 0
+            yield [(period + tick, due, ticks, needed) for tick, due, ticks, needed in rows], period
+            return
+        repetitions = (
+            (repetition * period + tick, due)
+            for repetition in itertools.count()
+            for tick, due in pattern
+        )
+        events = itertools.chain([(0, first)], itertools.islice(repetitions, 1, None))
+        intervals = _intervals(self._add_transmissions(events), all_motions=all_motions)
+        while True:
+            yield list(itertools.islice(intervals, BLOCK)), 0
 
     def _add_transmissions(
         self, events: Iterable[tuple[int, TickActions]]
@@ -203,7 +221,7 @@ class Clock:
 
 def _intervals(
     events: Iterable[tuple[int, TickActions]], *, all_motions: bool
-) -> Iterator[tuple[int, TickActions, int, tuple[int, ...] | None]]:
+) -> Iterator[Scheduled]:
     """Yield events, each with the ticks to the next and the rows read there."""
     for (tick, due), (next_tick, following) in itertools.pairwise(events):
         needed = None if all_motions else following.needed

@@ -6,15 +6,12 @@ import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from functools import partial
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
-from testbed.core.call_list import Call, CallList
+from testbed.core.call_list import Call, PythonStep, Step
 from testbed.core.errors import InputError
 from testbed.core.records import Records
 from testbed.flight.schedule import TickActions
-
-Step: TypeAlias = Callable[[float], object]  # of Python, at the time of a tick, s
 
 
 class Part(StrEnum):
@@ -24,6 +21,7 @@ class Part(StrEnum):
     CONTROL = "control"
     ACTUATE = "actuate"
     OBSERVE = "observe"
+    MOVE = "move"
 
 
 class StageRate(StrEnum):
@@ -55,7 +53,7 @@ class Stage:
     rate: StageRate
     name: str
     call: Call | None = None
-    then: Step | None = None
+    then: PythonStep | None = None
     group: int | None = None
 
     def is_due(self, due: TickActions) -> bool:
@@ -152,15 +150,12 @@ def insert_stages(
                 f"{known})"
             )
         at = len(names) - 1 - names[::-1].index(user.after)
-        step = partial(_step_user, user.step, records)
+
+        def step(now: float, user: UserStage = user) -> None:
+            user.step(now, records)
+
         found.insert(at + 1, replace(found[at], name=user.name, call=None, then=step))
     return tuple(found)
-
-
-def _step_user(
-    step: Callable[[float, FlightRecords], object], records: FlightRecords, now: float
-) -> None:
-    step(now, records)
 
 
 def describe_stages(stages: Sequence[Stage]) -> Iterator[tuple[str, str, str, str]]:
@@ -171,60 +166,17 @@ def describe_stages(stages: Sequence[Stage]) -> Iterator[tuple[str, str, str, st
 
 
 def make_stages(
-    part: Part, rate: StageRate, name: str, steps: Sequence[Call | Step], group: int | None = None
+    part: Part,
+    rate: StageRate,
+    name: str,
+    steps: Sequence[Step],
+    group: int | None = None,
 ) -> Iterator[Stage]:
-    """Yield a stage for each step, compiled or Python's."""
+    """Yield a stage for each step, compiled or Python's or both."""
     for step in steps:
-        if isinstance(step, Call):
+        if isinstance(step, tuple):
+            yield Stage(part, rate, name, *step, group=group)
+        elif isinstance(step, Call):
             yield Stage(part, rate, name, call=step, group=group)
         else:
             yield Stage(part, rate, name, then=step, group=group)
-
-
-class Program:
-    """The stages that are due at one kind of tick.
-
-    Args:
-        stages: in order.
-    """
-
-    def __init__(self, stages: Sequence[Stage]) -> None:
-        """See the class."""
-        self._steps = tuple(each.then for each in stages)
-        self._calls = CallList([each.call for each in stages])
-
-    def run(self, now: float) -> None:
-        """Run all stages at a time, s."""
-        number, count = self._calls.run(0, now), len(self._steps)
-        while number < count:
-            step = self._steps[number]
-            if step is not None:
-                step(now)
-            number = self._calls.run(number + 1, now)
-
-
-Kind: TypeAlias = tuple[bool, tuple[int, ...], bool, bool, bool]  # of the actions of a tick
-
-
-class Programs:
-    """The programs of a flight, by kind of tick, for some parts of it.
-
-    Args:
-        stages: of the flight.
-        parts: of a tick.
-    """
-
-    def __init__(self, stages: Sequence[Stage], parts: Sequence[Part]) -> None:
-        """See the class."""
-        self._stages = tuple(each for each in stages if each.part in parts)
-        CallList(())  # registers what runs the calls
-        self._programs: dict[Kind, Program] = {}
-
-    def run(self, due: TickActions, now: float) -> None:
-        """Run the stages that are due at a time, s."""
-        kind = due.broadcast is not None, due.control, due.guidance, due.autopilot, due.log
-        program = self._programs.get(kind)
-        if program is None:
-            program = Program([each for each in self._stages if each.is_due(due)])
-            self._programs[kind] = program
-        program.run(now)

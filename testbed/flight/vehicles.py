@@ -5,15 +5,15 @@ Each object reads and writes its rows of the run's AIRCRAFT records in place.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from typing import Protocol, TypeAlias
+from collections.abc import Iterator
+from typing import NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 
 from testbed.autopilot.fbwa import fly_by_wire_a, settled_autopilots
 from testbed.autopilot.parameters import AutopilotTiming, FbwaParams, make_gains
-from testbed.core.call_list import Call
-from testbed.core.compile import bind_entry, entry
+from testbed.core.call_list import Call, Step, run_steps
+from testbed.core.compile import entry
 from testbed.core.copies import copy_motion
 from testbed.core.records import (
     MOTION,
@@ -30,10 +30,22 @@ from testbed.core.records import (
 from testbed.guidance.recorded_path import SampledTrajectory
 from testbed.vehicle.control_surfaces import Servos, apply_actuator_faults, initial_servos
 from testbed.vehicle.fleet import JsbsimFleet, write_fields_at
-from testbed.vehicle.unicycle import advance, are_finite, stop_unicycles, write_motion
+from testbed.vehicle.unicycle import advance, is_finite, stop_unicycles, write_motion
 
-Steps: TypeAlias = tuple[Call | Callable[[float], object], ...]  # compiled or of Python
+Steps: TypeAlias = tuple[Step, ...]
 LeaderInput: TypeAlias = tuple[Array, Array]  # u (1,) m/s and ω (3,) rad/s of an ideal leader
+
+
+class Move(NamedTuple):
+    """How far vehicles move at a tick.
+
+    Attributes:
+        steps: (1,) of the base rate.
+        needed: (N,) aircraft whose `truth` is then written.
+    """
+
+    steps: Indices
+    needed: BoolArray
 
 
 class Vehicles(Protocol):
@@ -54,6 +66,9 @@ class Vehicles(Protocol):
             followers: (n,) of FOLLOWER.
             leader: u (1,) m/s and ω (3,) rad/s.
         """
+
+    def move_steps(self, move: Move) -> Steps:
+        """Return the steps that move them to the next tick."""
 
     def remove(self, lost: BoolArray) -> None:
         """Stop lost aircraft (N,); they keep their last motion."""
@@ -93,7 +108,7 @@ class JsbsimVehicles:
         self._servos: Servos | None = None
         self._faults: FaultState | None = None
         self._zero_flow = self._flow = np.zeros((len(rows), 2))
-        self._needed: dict[tuple[int, ...], Indices] = {}  # flight models by the rows needed
+        self._needed: dict[bytes, Indices] = {}  # flight models by the aircraft needed
 
     def retune(self, row: int, params: FbwaParams) -> None:
         """Set the parameters of the autopilot in a row of the fleet; its state stays."""
@@ -107,10 +122,13 @@ class JsbsimVehicles:
         """Return nothing: an autopilot takes attitudes."""
         return ()
 
+    def move_steps(self, move: Move) -> Steps:
+        """See `Vehicles`."""
+        return (lambda now: self._run(int(move.steps[0]), move.needed),)
+
     def autopilot_step(self) -> None:
         """Step the autopilots, and give their surfaces to the flight models."""
-        for step in (*self.autopilot_steps, *self.output_steps):
-            step(0.0)
+        run_steps((*self.autopilot_steps, *self.output_steps), 0.0)
 
     def apply_faults(self, now: float) -> None:
         """Apply `faults` of the records to `surfaces`."""
@@ -140,13 +158,16 @@ class JsbsimVehicles:
 
     def step(self, ticks: int, needed: tuple[int, ...] | None) -> None:
         """See `Vehicles`."""
-        self.fleet.run(ticks, self.fleet.all_rows if needed is None else self._fleet_rows(needed))
+        rows = np.full(len(self._aircraft), needed is None)
+        rows[list(needed or ())] = True
+        self._run(ticks, rows)
 
-    def _fleet_rows(self, needed: tuple[int, ...]) -> Indices:
-        """Return the rows of the fleet that are among these of the aircraft."""
-        if needed not in self._needed:
-            self._needed[needed] = np.flatnonzero(np.isin(self.rows, needed))
-        return self._needed[needed]
+    def _run(self, ticks: int, needed: BoolArray) -> None:
+        """Run the flight models; write `truth` of the aircraft needed (N,)."""
+        key = needed.tobytes()
+        if key not in self._needed:
+            self._needed[key] = np.flatnonzero(needed[self.rows])
+        self.fleet.run(ticks, self._needed[key])
 
 
 class UnicycleVehicles:
@@ -165,8 +186,7 @@ class UnicycleVehicles:
         """
         self.rows, self._unicycles, self._aircraft = rows, unicycles, aircraft
         self._first = unicycles.copy()
-        self._write = bind_entry(write_motion, unicycles, rows, aircraft)
-        self._advance = bind_entry(advance, unicycles, 1.0 / base_rate_hz, like=(1,))
+        self._dt = 1.0 / base_rate_hz
         self.air_steps: Steps = ()
         self.wind_steps: Steps = ()
         self.autopilot_steps: Steps = ()
@@ -175,11 +195,15 @@ class UnicycleVehicles:
         air = aircraft["air"]
         for name in ("state_of_charge", "battery_voltage"):
             air[name][rows] = np.nan
-        self._write()
+        write_motion(unicycles, rows, aircraft)
 
     def steering_steps(self, followers: Records, leader: LeaderInput) -> Steps:
         """See `Vehicles`."""
         return (Call(_steer, self._unicycles, self.rows, followers, *leader),)
+
+    def move_steps(self, move: Move) -> Steps:
+        """See `Vehicles`."""
+        return (Call(_move, self._unicycles, self.rows, self._aircraft, self._dt, move.steps),)
 
     def remove(self, lost: BoolArray) -> None:
         """See `Vehicles`."""
@@ -188,9 +212,17 @@ class UnicycleVehicles:
 
     def step(self, ticks: int, needed: tuple[int, ...] | None) -> None:
         """See `Vehicles`."""
-        self._advance(ticks)
-        self._write()
-        self._aircraft["stopped"][self.rows] |= ~are_finite(self._unicycles)
+        _move(self._unicycles, self.rows, self._aircraft, self._dt, np.array([ticks]))
+
+
+@entry
+def _move(unicycles: Records, rows: Indices, aircraft: Records, dt: float, steps: Indices) -> None:
+    """Advance unicycles (M,) by steps of dt, s; write their motion and which have stopped."""
+    advance(unicycles, dt, steps[0])
+    write_motion(unicycles, rows, aircraft)
+    for k in range(len(rows)):
+        if not is_finite(unicycles[k]):
+            aircraft[rows[k]].stopped = True
 
 
 @entry
@@ -269,11 +301,18 @@ class ScriptedVehicle:
     def remove(self, lost: BoolArray) -> None:
         """Do nothing: the motion is given."""
 
+    def move_steps(self, move: Move) -> Steps:
+        """See `Vehicles`."""
+        return ((self._follow, self._follow_next_block),)
+
     def step(self, ticks: int, needed: tuple[int, ...] | None) -> None:
         """Move to the next row of the script."""
         if self._follow(0.0):
-            self._fill(next(self._blocks))
-            self._follow(0.0)
+            self._follow_next_block(0.0)
+
+    def _follow_next_block(self, now: float) -> None:
+        self._fill(next(self._blocks))
+        self._follow(0.0)
 
 
 @entry

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from testbed.atmosphere.air import Atmosphere
 from testbed.core.compile import Arguments
 from testbed.core.records import (
     Array,
-    BoolArray,
     Event,
     Records,
     RunInfo,
-    VehicleState,
 )
 from testbed.flight.arduplane_vehicles import ArduPlaneVehicles
 from testbed.flight.companion import Companions
 from testbed.flight.control import Control, ControlGroup
+from testbed.flight.external_control import ExternalControl
 from testbed.flight.faults import FaultManager
 from testbed.flight.leader_control import LeaderController
 from testbed.flight.limits import (
@@ -26,11 +24,10 @@ from testbed.flight.limits import (
     ProximityMonitor,
 )
 from testbed.flight.schedule import Clock
-from testbed.flight.vehicles import LeaderInput, ScriptedVehicle, Steps, Vehicles
+from testbed.flight.vehicles import ScriptedVehicle, Vehicles
 from testbed.formation import barrier
 from testbed.formation.barrier import sample_barrier
 from testbed.formation.law import FormationConfig
-from testbed.mavlink.vehicle_control import VehicleControl
 from testbed.network.outages import Outages
 from testbed.network.radio import Radio
 from testbed.sensors.estimators import StateEstimators
@@ -38,74 +35,6 @@ from testbed.vehicle.fleet import JsbsimFleet
 from testbed.vehicle.trim import (
     InitialState,
 )
-
-
-class ExternalCommands(Protocol):
-    """Commands from outside to aircraft of a flight; also the controller of a commandable leader.
-
-    Attributes:
-        vehicles: of N aircraft, leader first.
-        input: see `LeaderController`.
-        commands_leader: whether it controls the leader.
-        waiting: names of the aircraft that lockstep waits for a command of.
-        timeout_s: how long lockstep waits, s of wall-clock time.
-    """
-
-    vehicles: tuple[VehicleControl, ...]
-    input: LeaderInput
-
-    @property
-    def commands_leader(self) -> bool:
-        """See the class."""
-        ...
-
-    @property
-    def waiting(self) -> list[str]:
-        """See the class."""
-        ...
-
-    @property
-    def timeout_s(self) -> float:
-        """See the class."""
-        ...
-
-    def steps(self, aircraft: Records) -> Steps:
-        """See `LeaderController`."""
-        ...
-
-    def guide(
-        self, now: float, estimate: VehicleState, lost: BoolArray, frozen: BoolArray | None
-    ) -> None:
-        """Step the guidance of all sessions; each control period of the leader, before control."""
-        ...
-
-    def override_commands(self, aircraft: Records) -> None:
-        """Write `command` of the aircraft that it controls."""
-        ...
-
-    def mask_diagnostics(self, followers: Records) -> Records:
-        """Return followers without flags of those that it controls."""
-        ...
-
-    def left_formation(self, left: BoolArray) -> BoolArray:
-        """Return which followers (n,) have no slot, those that it controls included."""
-        ...
-
-    def command_counts(self) -> Mapping[str, Mapping[str, int]]:
-        """Return counts of executed requests by aircraft and kind."""
-        ...
-
-    def pop_events(self) -> list[Event]:
-        """Return the events since the last call."""
-        ...
-
-    def add_events(self, events: Sequence[Event]) -> None:
-        """Add events to those that `pop_events` returns next."""
-        ...
-
-    def expect_commands(self, now: float) -> None:
-        """Wait, in lockstep, for a command in reply to the sample of this time, s."""
-        ...
 
 
 class SpeedLimits(NamedTuple):
@@ -163,6 +92,20 @@ class BuiltControl:
 
 
 @dataclass(frozen=True, slots=True)
+class FormationParts:
+    """What flies the followers of a leader in their slots."""
+
+    scripted_leader: bool  # it follows a recording or a formula
+    leader_controller: LeaderController
+    built_control: BuiltControl  # what `control` steps
+    control: Control
+    companions: Companions | None  # None: controllers have no latency
+    radio: Radio
+    outages: Outages
+    altitudes: Array  # (n,) m, of followers that hold an altitude; NaN for the others
+
+
+@dataclass(frozen=True, slots=True)
 class World:
     """The records of a run, and the objects that step them."""
 
@@ -172,10 +115,10 @@ class World:
     aircraft: Records  # (N,) of AIRCRAFT
     followers: Records  # (n,) of FOLLOWER
     links: Records  # (n, N) of LINK
+    parts: FormationParts | None  # None: a single aircraft without a formation
     air: Atmosphere | None  # None: it is steady
     gusts: tuple[str, ...]  # names of its discrete gusts
     vehicles: tuple[Vehicles, ...]
-    scripted_leader: bool  # it follows a recording or a formula
     external_processes: tuple[ArduPlaneVehicles, ...]
     fleet: JsbsimFleet | None  # the JSBSim models, if there are any
     estimators: StateEstimators
@@ -183,14 +126,13 @@ class World:
     proximity: ProximityMonitor
     envelope: EnvelopeMonitor
     fly_on: bool  # the run continues without lost aircraft
-    leader_controller: LeaderController
-    external_control: ExternalCommands | None  # None: no external commands
-    built_control: BuiltControl  # what `control` steps
-    control: Control
-    companions: Companions | None  # None: controllers have no latency
-    radio: Radio
-    outages: Outages
-    altitudes: Array  # (n,) m, of followers that hold an altitude; NaN for the others
+    external_control: ExternalControl | None  # None: no external commands
     initial_events: tuple[Event, ...]  # from before the flight
     info: RunInfo
     entries: tuple[Arguments, ...]  # that step them
+
+    @property
+    def formation(self) -> FormationParts:
+        """What flies the followers, of a flight that has some."""
+        assert self.parts is not None, "a single aircraft has no formation"
+        return self.parts

@@ -9,21 +9,12 @@ from typing import NamedTuple
 import numpy as np
 
 from testbed.core.compile import entry, kernel
-from testbed.core.records import Array, Record, Records, RunInfo, Values, allocate
-from testbed.core.tabulated import TABLE, Function, Rough, interpolate, make_table
+from testbed.core.records import Array, Record, Records, RunInfo, Values, record_of
+from testbed.core.tabulated import TABLE, Function, Rough, interpolate, make_table, pack_functions
 
 NO_BARRIER = 7  # h = 1, as in the paper's experiments: the speeds are saturated instead
 OWN_BARRIER = 0  # a user's own h
 OUTSIDE = 5.0  # m/s, how far beyond the bounds a barrier is checked and an own one is tabulated
-
-BARRIER = np.dtype(
-    [
-        ("example", "i8"),
-        ("nu", "f8"),
-        ("table", TABLE),  # of an own barrier: h over s − s_lo
-    ],
-    align=True,
-)
 
 
 class SpeedBarrier(NamedTuple):
@@ -35,6 +26,9 @@ class SpeedBarrier(NamedTuple):
 
     example: int
     nu: float
+
+
+BARRIER = record_of(SpeedBarrier, ("table", TABLE))  # of an own barrier: h over s − s_lo
 
 
 class UserBarrier(NamedTuple):
@@ -106,11 +100,7 @@ def barrier_curve(
 
 def barrier_records(*barriers: SpeedBarrier | UserBarrier) -> Records:
     """Pack barriers into records (n,) of BARRIER."""
-    records = allocate(BARRIER, len(barriers))
-    for k, barrier in enumerate(barriers):
-        for name, value in barrier._asdict().items():
-            records[name][k] = value[0] if name == "table" else value
-    return records
+    return pack_functions(BARRIER, barriers)
 
 
 def barriers_of(records: Records) -> list[SpeedBarrier | UserBarrier]:

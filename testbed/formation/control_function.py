@@ -8,25 +8,17 @@ from typing import NamedTuple
 import numpy as np
 
 from testbed.core.compile import entry, kernel
-from testbed.core.records import Array, Record, Records, Values, allocate
+from testbed.core.records import Array, Record, Records, Values, record_of
 from testbed.core.tabulated import (
     TABLE,
     Function,
     Rough,
     interpolate,
     make_table,
+    pack_functions,
     sample_table,
 )
 
-MU = np.dtype(
-    [
-        ("spline", "?"),
-        *((name, "f8") for name in ("nu1", "nu2", "m", "flat", "far", "bound")),
-        ("own", "?"),
-        ("table", TABLE),  # of an own function: ln μ over ln(1 + z/Z0)
-    ],
-    align=True,
-)
 Z0 = 0.01  # m²: a table resolves errors from a decimetre on
 Z_MAX = 1e10  # m², end of a table, beyond which μ is a power of z
 EXPONENT_TOLERANCE = 0.01  # of the power of z at the end of a table, which (C1) and (C2) bound
@@ -47,6 +39,10 @@ class ControlFunction(NamedTuple):
     bound: float  # ρ̄ = sup √z μ(z), (C2)
 
 
+# The table is of an own function: ln μ over ln(1 + z/Z0).
+MU = record_of(ControlFunction, ("own", "?"), ("table", TABLE))
+
+
 class UserControlFunction(NamedTuple):
     """A user's own μ."""
 
@@ -56,12 +52,8 @@ class UserControlFunction(NamedTuple):
 
 def control_function_records(*functions: ControlFunction | UserControlFunction) -> Records:
     """Pack control functions into records (n,) of MU."""
-    records = allocate(MU, len(functions))
-    for k, function in enumerate(functions):
-        own = isinstance(function, UserControlFunction)
-        records["own"][k] = own
-        for name, value in function._asdict().items():
-            records[name][k] = value[0] if name == "table" else value
+    records = pack_functions(MU, functions)
+    records["own"] = [isinstance(function, UserControlFunction) for function in functions]
     return records
 
 

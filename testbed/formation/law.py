@@ -15,13 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.core.field_docs import document_fields
-from testbed.core.records import (
-    Array,
-    FbwaCommand,
-    Inbox,
-    UnicycleCommand,
-    VehicleState,
-)
+from testbed.core.records import Array, FbwaCommand, Inbox, UnicycleCommand, VehicleState
 
 
 class LimiterFlag(IntFlag):

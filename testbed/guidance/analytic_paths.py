@@ -27,40 +27,47 @@ Point = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class StraightPath:
-    """A straight line at constant speed, with vertical speed `climb`."""
+class CurveStart:
+    """The start of a path."""
 
     position_ned: Point  # m
     course: float  # rad
-    speed: float  # m/s
-    climb: float = 0.0  # m/s
+    speed: float  # m/s; over the ground, ahead or the mean, see the paths
 
     def __post_init__(self) -> None:
         """Check that the path can be flown."""
         _check_positive("speed_mps", self.speed)
+        self._check()
+
+    def _check(self) -> None:
+        """Check what only this kind of path has."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StraightPath(CurveStart):
+    """A straight line at constant speed, with vertical speed `climb`."""
+
+    climb: float = 0.0  # m/s
+
+    def _check(self) -> None:
         _check_climb(self.speed, self.climb)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CirclePath:
-    """A circle at constant speed; with vertical speed `climb`, a helix."""
+class CirclePath(CurveStart):
+    """A circle at constant speed, from a point on it; with vertical speed `climb`, a helix."""
 
-    position_ned: Point  # m, on the circle
-    course: float  # rad
-    speed: float  # m/s
     radius: float  # m
     clockwise: bool = True  # seen from above
     climb: float = 0.0  # m/s
 
-    def __post_init__(self) -> None:
-        """Check that the path can be flown."""
-        _check_positive("speed_mps", self.speed)
+    def _check(self) -> None:
         _check_climb(self.speed, self.climb)
         _check_radius(self.radius, math.sqrt(self.speed**2 - self.climb**2))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FigureEightPath:
+class FigureEightPath(CurveStart):
     """A level figure-eight at constant speed, whose course is a cosine of time.
 
     It begins at its crossing.
@@ -71,15 +78,10 @@ class FigureEightPath:
     half-way round each loop. It is 5.7 radii long and 2.1 wide.
     """
 
-    position_ned: Point  # m, the crossing
-    course: float  # rad
-    speed: float  # m/s
     radius: float  # m, of the tightest turn
     clockwise: bool = True  # the first loop, seen from above
 
-    def __post_init__(self) -> None:
-        """Check that the path can be flown."""
-        _check_positive("speed_mps", self.speed)
+    def _check(self) -> None:
         _check_radius(self.radius, self.speed)
 
     @property
@@ -89,23 +91,18 @@ class FigureEightPath:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SinusoidalPath:
-    """A level sinusoidal path at constant speed ahead.
+class SinusoidalPath(CurveStart):
+    """A level sinusoidal path at constant speed ahead, from its leftmost point.
 
     To the right it is amplitude (1 − cos 2π t/period).
 
     The ground speed is between `speed`, at the turns, and hypot(speed, 2π amplitude/period).
     """
 
-    position_ned: Point  # m, the leftmost point
-    course: float  # rad
-    speed: float  # m/s, ahead
     amplitude: float  # m, half the width
     period: float  # s
 
-    def __post_init__(self) -> None:
-        """Check that the path can be flown."""
-        _check_positive("speed_mps", self.speed)
+    def _check(self) -> None:
         _check_positive("amplitude_m", self.amplitude)
         _check_positive("period_s", self.period)
         shortest = 2.0 * math.pi * math.sqrt(self.amplitude / _max_lateral_acceleration())
@@ -121,18 +118,13 @@ class SinusoidalPath:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SpeedChangePath:
+class SpeedChangePath(CurveStart):
     """A level straight line at the speed `speed` + amplitude sin 2π t/period."""
 
-    position_ned: Point  # m
-    course: float  # rad
-    speed: float  # m/s, mean
     amplitude: float  # m/s
     period: float  # s
 
-    def __post_init__(self) -> None:
-        """Check that the path can be flown."""
-        _check_positive("speed_mps", self.speed)
+    def _check(self) -> None:
         _check_positive("amplitude_mps", self.amplitude)
         _check_positive("period_s", self.period)
         if self.amplitude >= self.speed:
@@ -232,10 +224,7 @@ def evaluate(
     slowing = (velocity[:, :2] * acceleration[:, :2]).sum(axis=1) / level
     tangent = rates.chi_dot * level / GRAVITY
     tangent_rate = (rates.chi_ddot * level + rates.chi_dot * slowing) / GRAVITY
-    euler = np.stack(
-        [np.arctan(tangent), flight_path_angle(velocity), course(velocity)],
-        axis=1,
-    )
+    euler = np.stack([np.arctan(tangent), flight_path_angle(velocity), course(velocity)], axis=1)
     angle_rates = np.stack(
         [tangent_rate / (1.0 + tangent**2), rates.gamma_dot, rates.chi_dot], axis=1
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
@@ -74,8 +74,8 @@ class Segment(NamedTuple):
     """
 
     circle: bool
-    start: Point
-    end: Point  # the waypoint; the centre and the altitude of a circle
+    start: Annotated[Point, 3]
+    end: Annotated[Point, 3]  # the waypoint; the centre and the altitude of a circle
     turn: float  # rad, course change from this line to the next segment
     radius: float  # m
     clockwise: bool

@@ -14,7 +14,7 @@ import numpy as np
 
 from testbed.core.compile import entry, kernel
 from testbed.core.frames import GRAVITY, gamma_of
-from testbed.core.records import Array, Record, Records, Values, Vector, allocate
+from testbed.core.records import Array, Record, Records, Values, Vector, allocate, record_of
 from testbed.guidance import l1
 from testbed.guidance.altitude_airspeed_hold import (
     GAINS,
@@ -24,22 +24,16 @@ from testbed.guidance.altitude_airspeed_hold import (
     hold,
     path_angle,
 )
-from testbed.guidance.flight_plan import LEVEL_OFF, FlightPlan, GuidanceMission, climb_profile
+from testbed.guidance.flight_plan import (
+    LEVEL_OFF,
+    FlightPlan,
+    GuidanceMission,
+    Segment,
+    climb_profile,
+)
 
 FLIGHT_PARAMS = tuple(each.name for each in fields(GuidanceMission) if each.name != "legs")
-# One segment of a flight plan; see `flight_plan.Segment`.
-SEGMENT = np.dtype(
-    [
-        ("circle", "?"),
-        ("start", "f8", (3,)),
-        ("end", "f8", (3,)),
-        ("turn", "f8"),
-        ("radius", "f8"),
-        ("clockwise", "?"),
-        ("turns", "f8"),
-        ("continues", "?"),
-    ]
-)
+SEGMENT = record_of(Segment)
 # Progress of an aircraft in its flight plan, and the memory of its hold.
 MEMORY = np.dtype(
     [

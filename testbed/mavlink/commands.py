@@ -50,7 +50,6 @@ class CommandRequest(NamedTuple):
     # param1 to param7; a position is in degrees
     params: tuple[float, float, float, float, float, float, float]
     frame: int | None  # MAV_FRAME; None: of a COMMAND_LONG, which has none
-    wall_s: float  # wall-clock time
 
 
 class CommandReply(NamedTuple):
@@ -87,73 +86,62 @@ class CommandProtocol:
                 "REQUEST_AUTOPILOT_CAPABILITIES": self._capabilities,
                 "GET_HOME_POSITION": self._home,
                 "PREFLIGHT_REBOOT_SHUTDOWN": self._reboot,
-                "NAV_RETURN_TO_LAUNCH": self._return,
-                "NAV_TAKEOFF": self._take_off,
-                "NAV_LAND": self._land,
+                "NAV_RETURN_TO_LAUNCH": lambda request: self._reply(_unsupported("RTL")),
+                "NAV_TAKEOFF": lambda request: self._reply(_unsupported("TAKEOFF")),
+                "NAV_LAND": lambda request: self._reply(_unsupported("LAND")),
             }.items()
         }
 
-    def _handle(self, message: Message, wall_s: float) -> list[OutgoingMessage]:
-        request = _read(message, wall_s)
+    def _handle(self, message: Message) -> list[OutgoingMessage]:
+        request = _read(message)
         execute = self._commands.get(request.command)
         reply = CommandReply(Result.UNSUPPORTED) if execute is None else execute(request)
-        answer: Fields = {
-            "command": request.command,
-            "result": reply.result,
-            **sender_of(message).target,
-        }
-        return [OutgoingMessage("COMMAND_ACK", answer), *reply.messages]
+        return _answer(message, request.command, reply)
 
-    def _set_mode(self, message: Message, wall_s: float) -> list[OutgoingMessage]:
+    def _set_mode(self, message: Message) -> list[OutgoingMessage]:
         """Execute a SET_MODE, which ArduPilot answers like a command."""
         base, custom = message.number("base_mode"), message.number("custom_mode")
-        reply = self._change_mode(base, custom, wall_s)
-        answer: Fields = {
-            "command": constant("MAVLINK_MSG_ID_SET_MODE"),
-            "result": reply.result,
-            **sender_of(message).target,
-        }
-        return [OutgoingMessage("COMMAND_ACK", answer), *reply.messages]
+        return _answer(
+            message, constant("MAVLINK_MSG_ID_SET_MODE"), self._change_mode(base, custom)
+        )
 
     def _arm(self, request: CommandRequest) -> CommandReply:
         arm, force = request.params[:2]
         if arm not in (0.0, 1.0):
-            return self._denied("Arming: give 1, or 0 to disarm", request.wall_s)
-        rejection = self._context.control.set_armed(arm == 1.0, force=force == _FORCE)
-        return self._reply(rejection, request.wall_s)
+            return self._denied("Arming: give 1, or 0 to disarm")
+        return self._reply(self._context.control.set_armed(arm == 1.0, force=force == _FORCE))
 
     def _do_set_mode(self, request: CommandRequest) -> CommandReply:
-        return self._change_mode(request.params[0], request.params[1], request.wall_s)
+        return self._change_mode(request.params[0], request.params[1])
 
-    def _change_mode(self, base: float, custom: float, wall_s: float) -> CommandReply:
+    def _change_mode(self, base: float, custom: float) -> CommandReply:
         modes = ", ".join(f"{mode.value} {mode.name}" for mode in FlightMode)
         if not math.isfinite(base) or not int(base) & _CUSTOM:
-            return self._denied(f"custom mode: {modes}", wall_s)
+            return self._denied(f"custom mode: {modes}")
         if custom == _RTL:
-            return self._denied(_unsupported("RTL").text, wall_s)
+            return self._denied(_unsupported("RTL").text)
         if custom not in _MODES:
-            return self._denied(f"no mode {custom:.0f}: {modes}", wall_s)
-        return self._reply(self._context.control.set_mode(FlightMode(int(custom))), wall_s)
+            return self._denied(f"no mode {custom:.0f}: {modes}")
+        return self._reply(self._context.control.set_mode(FlightMode(int(custom))))
 
     def _reposition(self, request: CommandRequest) -> CommandReply:
         if request.frame is None:
             return CommandReply(Result.COMMAND_INT_ONLY)  # which has the frame of the altitude
         if request.frame not in POSITION_FRAMES:
-            reply = self._denied(f"Fly there: {frame_error(request.frame)}", request.wall_s)
+            reply = self._denied(f"Fly there: {frame_error(request.frame)}")
             return reply._replace(result=Result.UNSUPPORTED_FRAME)
         _, flags, radius, anticlockwise, latitude_deg, longitude_deg, altitude = request.params
         keep = math.isnan(altitude)
         position = Position(latitude_deg, longitude_deg, 0.0 if keep else altitude)
         if check_position(position) is not None or math.isinf(radius):
-            return self._denied("Fly there: give latitude, longitude, altitude", request.wall_s)
+            return self._denied("Fly there: give latitude, longitude, altitude")
         control = self._context.control
         if control.mode is not FlightMode.GUIDED:
             if not math.isfinite(flags) or not int(flags) & 1:
-                text = "Fly there: set the flag that changes to GUIDED"
-                return self._denied(text, request.wall_s)
+                return self._denied("Fly there: set the flag that changes to GUIDED")
             rejection = control.set_mode(FlightMode.GUIDED)
             if rejection is not None:
-                return self._reply(rejection, request.wall_s)
+                return self._reply(rejection)
         height = altitude_above_home(request.frame, altitude, self._context.origin)
         sign = -1.0 if anticlockwise == 1.0 else 1.0
         rejection = control.set_loiter_point(
@@ -162,52 +150,49 @@ class CommandProtocol:
             None if keep else height,
             None if math.isnan(radius) or radius == 0.0 else sign * radius,
         )
-        reply = self._reply(rejection, request.wall_s)
+        reply = self._reply(rejection)
         if rejection is None and request.frame in ABOVE_TERRAIN:
-            note = self._context.texts.make_warning(TERRAIN_NOTE, request.wall_s)
-            reply = reply._replace(messages=(*reply.messages, *note))
+            reply = reply._replace(messages=(*reply.messages, *self._context.warn(TERRAIN_NOTE)))
         return reply
 
     def _change_speed(self, request: CommandRequest) -> CommandReply:
         kind, speed = request.params[:2]
         if kind != 0.0 or not (math.isfinite(speed) and speed > 0.0):
-            return self._denied("Speed: give an airspeed, type 0, in m/s", request.wall_s)
-        return self._reply(self._context.control.set_airspeed(speed), request.wall_s)
+            return self._denied("Speed: give an airspeed, type 0, in m/s")
+        return self._reply(self._context.control.set_airspeed(speed))
 
     def _start_mission(self, request: CommandRequest) -> CommandReply:
         first, last = (each or 0.0 for each in request.params[:2])
         count = len(self._context.control.mission)
         if not (0.0 <= first < max(count, 1) and last in (0.0, count - 1.0)):
-            text = "Mission: first must be an item, last the last one"
-            return self._denied(text, request.wall_s)
+            return self._denied("Mission: first must be an item, last the last one")
         control = self._context.control
         rejection = control.set_mode(FlightMode.AUTO)
         if rejection is None and first > 0.0:
             rejection = control.set_current_item(int(first))
-        return self._reply(rejection, request.wall_s)
+        return self._reply(rejection)
 
     def _set_current(self, request: CommandRequest) -> CommandReply:
         item = request.params[0]
         if not 0.0 <= item <= 65535.0:
-            return self._denied("Mission: give the number of an item", request.wall_s)
-        reply = self._reply(self._context.control.set_current_item(int(item)), request.wall_s)
+            return self._denied("Mission: give the number of an item")
+        reply = self._reply(self._context.control.set_current_item(int(item)))
         current = build_message("MISSION_CURRENT", self._context)
         return CommandReply(reply.result, (*reply.messages, *current))
 
     def _loiter(self, request: CommandRequest) -> CommandReply:
         """Circle the current position, as the command has none."""
-        return self._reply(self._context.control.set_mode(FlightMode.LOITER), request.wall_s)
+        return self._reply(self._context.control.set_mode(FlightMode.LOITER))
 
     def _set_interval(self, request: CommandRequest) -> CommandReply:
         name, interval_us = message_names().get(_id(request.params[0])), request.params[1]
         if name is None or not math.isfinite(interval_us):
-            return self._denied("Interval: give a telemetry message, and us", request.wall_s)
+            return self._denied("Interval: give a telemetry message, and us")
         self._schedule.set_interval(name, interval_us)
         return CommandReply(Result.ACCEPTED)
 
     def _get_interval(self, request: CommandRequest) -> CommandReply:
-        message = _id(request.params[0])
-        return CommandReply(Result.ACCEPTED, (self._interval(message),))
+        return CommandReply(Result.ACCEPTED, (self._interval(_id(request.params[0])),))
 
     def _request(self, request: CommandRequest) -> CommandReply:
         message = _id(request.params[0])
@@ -222,7 +207,7 @@ class CommandProtocol:
 
     def _capabilities(self, request: CommandRequest) -> CommandReply:
         if request.params[0] != 1.0:
-            return self._denied("Capabilities: give 1", request.wall_s)
+            return self._denied("Capabilities: give 1")
         version = build_message("AUTOPILOT_VERSION", self._context)
         return CommandReply(Result.ACCEPTED, tuple(version))
 
@@ -230,16 +215,7 @@ class CommandProtocol:
         return CommandReply(Result.ACCEPTED, tuple(build_message("HOME_POSITION", self._context)))
 
     def _reboot(self, request: CommandRequest) -> CommandReply:
-        return self._denied("Reboot: not possible during a run", request.wall_s)
-
-    def _return(self, request: CommandRequest) -> CommandReply:
-        return self._reply(_unsupported("RTL"), request.wall_s)
-
-    def _take_off(self, request: CommandRequest) -> CommandReply:
-        return self._reply(_unsupported("TAKEOFF"), request.wall_s)
-
-    def _land(self, request: CommandRequest) -> CommandReply:
-        return self._reply(_unsupported("LAND"), request.wall_s)
+        return self._denied("Reboot: not possible during a run")
 
     def _interval(self, message: int) -> OutgoingMessage:
         """Make a MESSAGE_INTERVAL; the interval of unknown messages is 0."""
@@ -248,26 +224,30 @@ class CommandProtocol:
         fields: Fields = {"message_id": max(message, 0), "interval_us": interval}
         return OutgoingMessage("MESSAGE_INTERVAL", fields)
 
-    def _reply(self, rejection: Rejection | None, wall_s: float) -> CommandReply:
+    def _reply(self, rejection: Rejection | None) -> CommandReply:
         if rejection is None:
             return CommandReply(Result.ACCEPTED)
         result = Result.FAILED if rejection.supported else Result.UNSUPPORTED
-        warning = self._context.texts.make_warning(rejection.text, wall_s)
-        return CommandReply(result, tuple(warning))
+        return CommandReply(result, tuple(self._context.warn(rejection.text)))
 
-    def _denied(self, text: str, wall_s: float) -> CommandReply:
-        return CommandReply(Result.DENIED, tuple(self._context.texts.make_warning(text, wall_s)))
+    def _denied(self, text: str) -> CommandReply:
+        return CommandReply(Result.DENIED, tuple(self._context.warn(text)))
 
 
-def _read(message: Message, wall_s: float) -> CommandRequest:
+def _answer(message: Message, command: int, reply: CommandReply) -> list[OutgoingMessage]:
+    fields: Fields = {"command": command, "result": reply.result, **sender_of(message).target}
+    return [OutgoingMessage("COMMAND_ACK", fields), *reply.messages]
+
+
+def _read(message: Message) -> CommandRequest:
     one, two, three, four = (message.number(f"param{n}") for n in range(1, 5))
     command = int(message.number("command"))
     if message.name == "COMMAND_LONG":
         five, six, seven = (message.number(f"param{n}") for n in range(5, 8))
-        return CommandRequest(command, (one, two, three, four, five, six, seven), None, wall_s)
+        return CommandRequest(command, (one, two, three, four, five, six, seven), None)
     x, y, z = (message.number(axis) for axis in "xyz")
     params = (one, two, three, four, x / _E7, y / _E7, z)
-    return CommandRequest(command, params, int(message.number("frame")), wall_s)
+    return CommandRequest(command, params, int(message.number("frame")))
 
 
 def _unsupported(name: str) -> Rejection:

@@ -374,7 +374,7 @@ COLUMNS: Mapping[str, tuple[ColumnSource, ...]] = {
     "q_radps": (field_source("IMU", "GyrY"),),
     "r_radps": (field_source("IMU", "GyrZ"),),
     "airspeed_mps": tuple(
-        true_airspeed_source(source, (field_source("CTUN", "E2T"),), _SEA_LEVEL)
+        true_airspeed_source(source, field_source("CTUN", "E2T"), _SEA_LEVEL)
         for source in (field_source("ARSP", "Airspeed"), field_source("CTUN", "As"))
     ),
     "altitude_m": (
@@ -582,10 +582,7 @@ def _check_vehicle(
         *(texts.texts.get("Message", ()) if texts else ()),
     ]
     builds = Counter(version.numbers.get("BU", np.empty(0)).tolist()) if version else Counter()
-    try:
-        plane = is_plane(banners, params, first=True)
-    except MavlinkError as error:
-        raise MavlinkError(f"{path}: {error}") from error
+    plane = is_plane(path, banners, params, first=True)
     if not builds:
         return plane
     build = builds.most_common(1)[0][0]

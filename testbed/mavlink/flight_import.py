@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from testbed.mavlink.flight_log import (
     FlightLog,
     LogSeries,
     MessageTable,
+    Unavailable,
     first_available,
     longest_gap,
     mode_name,
@@ -139,13 +141,12 @@ def _read_columns(log: FlightLog) -> tuple[dict[str, LogSeries], dict[str, str]]
     """
     series, missing = {}, {}
     for name, sources in log.columns.items():
-        found = first_available(log, sources)
-        if isinstance(found, LogSeries):
-            series[name] = found
-        elif name in REQUIRED:
-            raise MavlinkError(f"{log.path}: {found}, so no {name}; {log.remedy}")
-        else:
-            missing[name] = f"{found}; {log.remedy}"
+        try:
+            series[name] = first_available(log, sources)
+        except Unavailable as reason:
+            if name in REQUIRED:
+                raise MavlinkError(f"{log.path}: {reason}, so no {name}; {log.remedy}") from None
+            missing[name] = f"{reason}; {log.remedy}"
     return series, missing
 
 
@@ -315,8 +316,8 @@ def _notes(
             f"the log is of SITL, SIM_RATE_HZ {rate_hz:g}, whose gyro filter depends on that rate: "
             f"respond --sitl-rate {rate_hz:g}"
         )
-    above_sea, above_home = (source(log) for source in log.home)
-    if isinstance(above_sea, LogSeries) and isinstance(above_home, LogSeries):
+    with suppress(Unavailable):
+        above_sea, above_home = (source(log) for source in log.home)
         height = resample(above_sea, time[:1])[0] - resample(above_home, time[:1])[0]
         notes.append(
             f"home is {height:.0f} m above sea level: respond --origin-elevation {height:.0f}"

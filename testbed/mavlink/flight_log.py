@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -64,8 +65,11 @@ class LogSeries:
     held: bool = False  # values hold until the next; False: they are interpolated linearly
 
 
-# A text is the reason for which the log does not have the column.
-ColumnSource = Callable[["FlightLog"], LogSeries | str]
+class Unavailable(Exception):
+    """The reason why a log does not have a column."""
+
+
+ColumnSource = Callable[["FlightLog"], LogSeries]  # raises Unavailable
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,16 +168,16 @@ def field_source(
 ) -> ColumnSource:
     """Make a source that reads one field, without messages in which it is not finite."""
 
-    def source(log: FlightLog) -> LogSeries | str:
+    def source(log: FlightLog) -> LogSeries:
         table = log.tables.get(message)
         if table is None:
-            return f"no {message}"
+            raise Unavailable(f"no {message}")
         values = table.fields.get(name)
         if values is None:
-            return f"{message} has no {name}"
+            raise Unavailable(f"{message} has no {name}")
         valid = np.isfinite(values)
         if not valid.any():
-            return f"{message}.{name} is never a finite number"
+            raise Unavailable(f"{message}.{name} is never a finite number")
         return LogSeries(f"{message}.{name}", table.time[valid], scale * values[valid], held)
 
     return source
@@ -190,10 +194,8 @@ def transformed_source(
         description: of the result, with {} for the other source.
     """
 
-    def transformed(log: FlightLog) -> LogSeries | str:
+    def transformed(log: FlightLog) -> LogSeries:
         series = source(log)
-        if isinstance(series, str):
-            return series
         text = description.format(series.source)
         return LogSeries(text, series.time, function(series.values), series.held)
 
@@ -201,48 +203,58 @@ def transformed_source(
 
 
 def true_airspeed_source(
-    equivalent: ColumnSource,
-    ratios: tuple[ColumnSource, ...],
-    altitudes: tuple[ColumnSource, ...],
+    equivalent: ColumnSource, ratio: ColumnSource, altitudes: tuple[ColumnSource, ...]
 ) -> ColumnSource:
     """Make a source of true airspeed.
 
     Args:
         equivalent: equivalent airspeed, m/s.
-        ratios: true over equivalent airspeed, as logged by the autopilot.
-        altitudes: m above sea level, for the ratio of the standard atmosphere if no ratio is
-            logged.
+        ratio: true over equivalent airspeed, as logged by the autopilot.
+        altitudes: m above sea level, for the ratio of the standard atmosphere if none is logged.
     """
 
-    def source(log: FlightLog) -> LogSeries | str:
+    def source(log: FlightLog) -> LogSeries:
         series = equivalent(log)
-        if isinstance(series, str):
-            return series
-        for ratio in ratios:
-            if isinstance(known := ratio(log), LogSeries) and (known.values > 0.5).all():
-                factor, origin = np.interp(series.time, known.time, known.values), known.source
-                break
-        else:
-            if isinstance(altitude := first_available(log, altitudes), LogSeries):
-                height = np.interp(series.time, altitude.time, altitude.values)
-                factor = (1.0 - _ISA_PER_METRE * height) ** (-0.5 * _ISA_POWER)
-                origin = f"the standard atmosphere at {altitude.source}"
-            else:
-                factor, origin = np.ones_like(series.time), "1, as no altitude is logged"
+        factor, origin = _airspeed_ratio(log, series.time, ratio, altitudes)
         return LogSeries(f"{series.source} × {origin}", series.time, series.values * factor)
 
     return source
 
 
-def first_available(log: FlightLog, sources: tuple[ColumnSource, ...]) -> LogSeries | str:
-    """Read the first of these sources that the log has; if it has none, all reasons."""
+def _airspeed_ratio(
+    log: FlightLog, time: Array, ratio: ColumnSource, altitudes: tuple[ColumnSource, ...]
+) -> tuple[Array, str]:
+    """Return true over equivalent airspeed at times (M,), and where it comes from."""
+    with suppress(Unavailable):
+        known = ratio(log)
+        if (known.values > 0.5).all():
+            return np.interp(time, known.time, known.values), known.source
+    with suppress(Unavailable):
+        altitude = first_available(log, altitudes)
+        height = np.interp(time, altitude.time, altitude.values)
+        factor: Array = (1.0 - _ISA_PER_METRE * height) ** (-0.5 * _ISA_POWER)
+        return factor, f"the standard atmosphere at {altitude.source}"
+    return np.ones_like(time), "1, as no altitude is logged"
+
+
+def no_source(log: FlightLog) -> LogSeries:
+    """Provide no column."""
+    raise Unavailable
+
+
+def first_available(log: FlightLog, sources: tuple[ColumnSource, ...]) -> LogSeries:
+    """Read the first of these sources that the log has.
+
+    Raises:
+        Unavailable: it has none, for all these reasons.
+    """
     reasons = []
     for source in sources:
-        found = source(log)
-        if isinstance(found, LogSeries):
-            return found
-        reasons.append(found)
-    return ", ".join(dict.fromkeys(reasons))
+        try:
+            return source(log)
+        except Unavailable as error:
+            reasons.append(str(error))
+    raise Unavailable(", ".join(dict.fromkeys(reasons)))
 
 
 def resample(series: LogSeries, time: Array) -> Array:

@@ -9,12 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.core.frames import (
-    body_rates,
-    euler_from_quaternion,
-    euler_rates,
-    quaternion_xyzw,
-)
+from testbed.core.frames import body_rates, euler_from_quaternion, euler_rates, quaternion_xyzw
 from testbed.core.geodetic import geodetic_from_ned, longitude_e7, ned_from_geodetic
 from testbed.core.records import Array, BoolArray, Broadcast, NedOrigin
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -33,13 +34,14 @@ _POSITION_STEP, _POSITION_RATE = np.full(3, 3.0), np.full(3, 10.0)
 _MAX_PITCH = 1.2  # rad; beyond it, roll and yaw turn quickly
 
 
-def is_plane(texts: Iterable[str], params: Iterable[str], *, first: bool) -> bool:
+def is_plane(path: Path, texts: Iterable[str], params: Iterable[str], *, first: bool) -> bool:
     """Check whether a log says that it is of ArduPlane, by its banner or its parameters.
 
     Banners without the hash of their sources count only in the first place, because scripts send
     texts, too.
 
     Args:
+        path: the log.
         texts: messages of the autopilot, in order.
         params: names of its parameters.
         first: whether the texts start with the banner.
@@ -55,7 +57,7 @@ def is_plane(texts: Iterable[str], params: Iterable[str], *, first: bool) -> boo
         first = False
         if not any(_PLANE.fullmatch(name) for name in names):
             also = "also " if plane else ""
-            raise MavlinkError(f"{also}a log of {names[0]}; give one of ArduPlane")
+            raise MavlinkError(f"{path}: {also}a log of {names[0]}; give one of ArduPlane")
         plane = True
     return plane or not _PLANE_PARAMS.isdisjoint(params)
 

@@ -43,7 +43,7 @@ class ManualControl:
             "SET_ATTITUDE_TARGET": self._attitude,
         }
 
-    def _override(self, message: Message, wall_s: float) -> list[OutgoingMessage]:
+    def _override(self, message: Message) -> list[OutgoingMessage]:
         """Take pulses in place of those of an RC receiver."""
         scaling = self._context.rc_scaling()
         self._release_stale()
@@ -53,9 +53,9 @@ class ManualControl:
                 self._move(stick, None)
             elif pulse_us != _IGNORE:
                 self._move(stick, _stick_value(stick, pulse_us, scaling))
-        return self._send_command(wall_s)
+        return self._send_command()
 
-    def _manual(self, message: Message, wall_s: float) -> list[OutgoingMessage]:
+    def _manual(self, message: Message) -> list[OutgoingMessage]:
         """Take joystick axes: x forward is nose down, y right, z throttle from 0.
 
         Like ArduPlane, it converts them to whole µs over the range of the stick.
@@ -72,25 +72,25 @@ class ManualControl:
             if value != _NO_AXIS:
                 pulse_us = _pulse_of_axis(sign * value, ends, pwm_range)
                 self._move(stick, _stick_value(stick, pulse_us, scaling))
-        return self._send_command(wall_s)
+        return self._send_command()
 
-    def _attitude(self, message: Message, wall_s: float) -> list[OutgoingMessage]:
+    def _attitude(self, message: Message) -> list[OutgoingMessage]:
         """Take roll and pitch of a quaternion, and a thrust; rates beside them are ignored."""
         mask, thrust = int(message.number("type_mask")), message.number("thrust")
         q = message.fields["q"]
         if mask & _THRUST_VECTOR:
-            return self._warn("Attitude target: give thrust 0 to 1, no vector", wall_s)
+            return self._context.warn("Attitude target: give thrust 0 to 1, no vector")
         if mask & _NO_ATTITUDE and mask & _NO_RATES != _NO_RATES:
-            return self._warn("Attitude target: give an attitude, not just rates", wall_s)
+            return self._context.warn("Attitude target: give an attitude, not just rates")
         if not mask & _NO_THROTTLE and not math.isfinite(thrust):
-            return self._warn("Attitude target: write a thrust of 0 to 1, not NaN", wall_s)
+            return self._context.warn("Attitude target: write a thrust of 0 to 1, not NaN")
         angles = None
         if not mask & _NO_ATTITUDE:
             assert isinstance(q, tuple)
             w, x, y, z = (float(each) for each in q)
             norm = math.sqrt(w * w + x * x + y * y + z * z)
             if not QUATERNION_NORM[0] <= norm <= QUATERNION_NORM[1]:
-                return self._warn("Attitude target: give a unit quaternion w, x, y, z", wall_s)
+                return self._context.warn("Attitude target: give a unit quaternion w, x, y, z")
             roll, pitch, _ = euler_from_quaternion(np.array([x, y, z, w])).tolist()
             angles = self._context.rc_scaling().limits.clamp(roll, pitch)
         self._release_stale()
@@ -99,7 +99,7 @@ class ManualControl:
             self._sticks = self._sticks._replace(roll=roll, pitch=pitch)
         if not mask & _NO_THROTTLE:
             self._sticks = self._sticks._replace(throttle=min(max(thrust, 0.0), 1.0))
-        return self._send_command(wall_s, attitude=True, answers_s=self._answered_s(message))
+        return self._send_command(attitude=True, answers_s=self._answered_s(message))
 
     def _move(self, stick: str, value: float | None) -> None:
         self._sticks = self._sticks._replace(**{stick: value})
@@ -121,7 +121,7 @@ class ManualControl:
         self._latest_s = now
 
     def _send_command(
-        self, wall_s: float, *, attitude: bool = False, answers_s: float | None = None
+        self, *, attitude: bool = False, answers_s: float | None = None
     ) -> list[OutgoingMessage]:
         sticks = self._sticks
         if sticks == _RELEASED:
@@ -134,10 +134,7 @@ class ManualControl:
             attitude=attitude,
             answers_s=answers_s,
         )
-        return [] if rejection is None else self._warn(rejection.text, wall_s)
-
-    def _warn(self, text: str, wall_s: float) -> list[OutgoingMessage]:
-        return self._context.texts.make_warning(text, wall_s)
+        return [] if rejection is None else self._context.warn(rejection.text)
 
 
 def _stick_value(stick: str, pulse_us: float, scaling: RcScaling) -> float:

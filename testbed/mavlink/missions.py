@@ -176,76 +176,72 @@ class MissionProtocol:
             "MISSION_SET_CURRENT": self._set_current,
         }
 
-    def poll(self, wall_s: float) -> list[OutgoingMessage]:
-        """Repeat the request for a missing item; cancel the upload after `REPEATS`.
-
-        Args:
-            wall_s: wall-clock time.
-        """
+    def poll(self) -> list[OutgoingMessage]:
+        """Repeat the request for a missing item; cancel the upload after `REPEATS`."""
         upload = self._upload
-        if upload is None or wall_s - upload.requested_s < REPEAT_S:
+        if upload is None or self._context.wall_s - upload.requested_s < REPEAT_S:
             return []
         if upload.repeats >= REPEATS:
             text = f"mission: item {len(upload.items)} did not arrive: upload again"
-            return self._abort(upload, MissionResult.CANCELLED, text, wall_s)
+            return self._abort(upload, MissionResult.CANCELLED, text)
         upload.repeats += 1
-        return [self._request_item(upload, wall_s)]
+        return [self._request_item(upload)]
 
-    def _count(self, message: Message, wall_s: float) -> list[OutgoingMessage]:
+    def _count(self, message: Message) -> list[OutgoingMessage]:
         """Start an upload; its sender may restart it."""
         sender, mission_type = sender_of(message), _mission_type(message)
         count = int(message.number("count"))
         if mission_type != MISSION:
             if count == 0 and mission_type in (FENCE, RALLY):
                 return [_ack(sender, MissionResult.ACCEPTED, mission_type)]
-            return self._refuse(message, MissionResult.UNSUPPORTED, _ONLY_MISSIONS, wall_s)
+            return self._refuse(message, MissionResult.UNSUPPORTED, _ONLY_MISSIONS)
         if self._other_uploads(sender):
-            return self._refuse(message, MissionResult.DENIED, _BUSY, wall_s)
+            return self._refuse(message, MissionResult.DENIED, _BUSY)
         if count > MAX_ITEMS:
             self._upload = None
             text = f"mission: {count} items: write {MAX_ITEMS} or fewer"
-            return self._refuse(message, MissionResult.NO_SPACE, text, wall_s)
-        self._upload = _Upload(sender, count, wall_s)
+            return self._refuse(message, MissionResult.NO_SPACE, text)
+        self._upload = _Upload(sender, count, self._context.wall_s)
         if count == 0:
-            return self._finish(self._upload, wall_s)
-        return [self._request_item(self._upload, wall_s)]
+            return self._finish(self._upload)
+        return [self._request_item(self._upload)]
 
-    def _item(self, message: Message, wall_s: float) -> list[OutgoingMessage]:
+    def _item(self, message: Message) -> list[OutgoingMessage]:
         sender = sender_of(message)
         if _mission_type(message) != MISSION:
-            return self._refuse(message, MissionResult.UNSUPPORTED, _ONLY_MISSIONS, wall_s)
+            return self._refuse(message, MissionResult.UNSUPPORTED, _ONLY_MISSIONS)
         current = int(message.number("current"))
         if message.name == "MISSION_ITEM" and current in (_GUIDED, _ALTITUDE):
-            return self._guided_item(message, wall_s, move=current == _GUIDED)
+            return self._guided_item(message, move=current == _GUIDED)
         sequence, upload = int(message.number("seq")), self._upload
         if upload is None or upload.sender != sender:
-            return self._unexpected_item(message, wall_s)
+            return self._unexpected_item(message)
         if sequence < len(upload.items):
             return []  # a repetition
         if sequence > len(upload.items):
             text = f"mission: item {sequence} instead of {len(upload.items)}: upload again"
-            return self._abort(upload, MissionResult.INVALID_SEQUENCE, text, wall_s)
+            return self._abort(upload, MissionResult.INVALID_SEQUENCE, text)
         item = read_item(message)
         if isinstance(item, ItemRefusal):
             text = f"mission item {sequence}: {item.text}"
-            return self._abort(upload, item.result, text, wall_s)
+            return self._abort(upload, item.result, text)
         upload.items.append(item)
         if len(upload.items) == upload.count:
-            return self._finish(upload, wall_s)
+            return self._finish(upload)
         upload.repeats = 0
-        return [self._request_item(upload, wall_s)]
+        return [self._request_item(upload)]
 
-    def _unexpected_item(self, message: Message, wall_s: float) -> list[OutgoingMessage]:
+    def _unexpected_item(self, message: Message) -> list[OutgoingMessage]:
         """Answer an item outside of an upload; a repetition of the last one as before."""
         sender, sequence = sender_of(message), int(message.number("seq"))
         if self._done and self._done[:2] == (sender, sequence + 1):
             return [_ack(sender, self._done[2])]
         if self._other_uploads(sender):
-            return self._refuse(message, MissionResult.DENIED, _BUSY, wall_s)
+            return self._refuse(message, MissionResult.DENIED, _BUSY)
         text = f"mission: item {sequence} without an upload: send MISSION_COUNT first"
-        return self._refuse(message, MissionResult.ERROR, text, wall_s)
+        return self._refuse(message, MissionResult.ERROR, text)
 
-    def _finish(self, upload: _Upload, wall_s: float) -> list[OutgoingMessage]:
+    def _finish(self, upload: _Upload) -> list[OutgoingMessage]:
         """Apply the complete mission."""
         self._upload = None
         rejection = self._context.control.set_mission(tuple(upload.items))
@@ -253,25 +249,21 @@ class MissionProtocol:
         self._done = (upload.sender, upload.count, result)
         replies = [_ack(upload.sender, result)]
         if rejection is not None:
-            return replies + self._context.texts.make_warning(rejection.text, wall_s)
+            return replies + self._context.warn(rejection.text)
         return replies + build_message("MISSION_CURRENT", self._context)
 
-    def _abort(
-        self, upload: _Upload, result: MissionResult, text: str, wall_s: float
-    ) -> list[OutgoingMessage]:
+    def _abort(self, upload: _Upload, result: MissionResult, text: str) -> list[OutgoingMessage]:
         """End an upload, with the reason."""
         self._upload = None
-        return [_ack(upload.sender, result), *self._context.texts.make_warning(text, wall_s)]
+        return [_ack(upload.sender, result), *self._context.warn(text)]
 
-    def _refuse(
-        self, message: Message, result: MissionResult, text: str, wall_s: float
-    ) -> list[OutgoingMessage]:
+    def _refuse(self, message: Message, result: MissionResult, text: str) -> list[OutgoingMessage]:
         """Refuse a message, with the reason."""
         ack = _ack(sender_of(message), result, _mission_type(message))
-        return [ack, *self._context.texts.make_warning(text, wall_s)]
+        return [ack, *self._context.warn(text)]
 
-    def _request_item(self, upload: _Upload, wall_s: float) -> OutgoingMessage:
-        upload.requested_s = wall_s
+    def _request_item(self, upload: _Upload) -> OutgoingMessage:
+        upload.requested_s = self._context.wall_s
         fields = {**upload.sender.target, "seq": len(upload.items), "mission_type": MISSION}
         return OutgoingMessage("MISSION_REQUEST_INT", fields)
 
@@ -279,7 +271,7 @@ class MissionProtocol:
         """Check whether another program is uploading a mission."""
         return self._upload is not None and self._upload.sender != sender
 
-    def _ack(self, message: Message, wall_s: float) -> list[OutgoingMessage]:
+    def _ack(self, message: Message) -> list[OutgoingMessage]:
         """Cancel the upload if its sender does; the end of a download needs no answer."""
         upload = self._upload
         cancelled = int(message.number("type")) != MissionResult.ACCEPTED
@@ -288,32 +280,32 @@ class MissionProtocol:
                 self._upload = None
         return []
 
-    def _clear(self, message: Message, wall_s: float) -> list[OutgoingMessage]:
+    def _clear(self, message: Message) -> list[OutgoingMessage]:
         sender, mission_type = sender_of(message), _mission_type(message)
         if mission_type in (FENCE, RALLY):
             return [_ack(sender, MissionResult.ACCEPTED, mission_type)]
         if mission_type not in (MISSION, ALL):
-            return self._refuse(message, MissionResult.UNSUPPORTED, _ONLY_MISSIONS, wall_s)
+            return self._refuse(message, MissionResult.UNSUPPORTED, _ONLY_MISSIONS)
         if self._other_uploads(sender):
-            return self._refuse(message, MissionResult.DENIED, _BUSY, wall_s)
+            return self._refuse(message, MissionResult.DENIED, _BUSY)
         self._upload = None
         rejection = self._context.control.set_mission(())
-        texts = self._context.texts.make_warning(rejection.text, wall_s) if rejection else []
+        texts = self._context.warn(rejection.text) if rejection else []
         return [_ack(sender, _result(rejection), mission_type), *texts]
 
-    def _list(self, message: Message, wall_s: float) -> list[OutgoingMessage]:
+    def _list(self, message: Message) -> list[OutgoingMessage]:
         mission_type = _mission_type(message)
         count = len(self._context.control.mission) if mission_type == MISSION else 0
         fields = {**sender_of(message).target, "count": count, "mission_type": mission_type}
         return [OutgoingMessage("MISSION_COUNT", fields)]
 
-    def _request(self, message: Message, wall_s: float) -> list[OutgoingMessage]:
+    def _request(self, message: Message) -> list[OutgoingMessage]:
         """Send one item, in the form of the request."""
         sender, mission_type = sender_of(message), _mission_type(message)
         mission, sequence = self._context.control.mission, int(message.number("seq"))
         if mission_type != MISSION or sequence >= len(mission):
             text = f"mission: item {sequence} of {len(mission)} does not exist"
-            return self._refuse(message, MissionResult.INVALID_SEQUENCE, text, wall_s)
+            return self._refuse(message, MissionResult.INVALID_SEQUENCE, text)
         name = "MISSION_ITEM_INT" if message.name == "MISSION_REQUEST_INT" else "MISSION_ITEM"
         fields = item_fields(
             mission[sequence],
@@ -323,28 +315,28 @@ class MissionProtocol:
         )
         return [OutgoingMessage(name, {**sender.target, **fields, "mission_type": mission_type})]
 
-    def _partial(self, message: Message, wall_s: float) -> list[OutgoingMessage]:
+    def _partial(self, message: Message) -> list[OutgoingMessage]:
         """Reject partial lists."""
         text = "mission: no partial lists: send and request all items"
-        return self._refuse(message, MissionResult.UNSUPPORTED, text, wall_s)
+        return self._refuse(message, MissionResult.UNSUPPORTED, text)
 
-    def _set_current(self, message: Message, wall_s: float) -> list[OutgoingMessage]:
+    def _set_current(self, message: Message) -> list[OutgoingMessage]:
         rejection = self._context.control.set_current_item(int(message.number("seq")))
-        texts = self._context.texts.make_warning(rejection.text, wall_s) if rejection else []
+        texts = self._context.warn(rejection.text) if rejection else []
         return build_message("MISSION_CURRENT", self._context) + texts
 
-    def _guided_item(self, message: Message, wall_s: float, *, move: bool) -> list[OutgoingMessage]:
+    def _guided_item(self, message: Message, *, move: bool) -> list[OutgoingMessage]:
         """Execute ArduPilot's "fly here" request, a MISSION_ITEM with current 2."""
         item = read_item(message)
         if isinstance(item, ItemRefusal):
-            return self._refuse(message, item.result, f"Fly there: {item.text}", wall_s)
+            return self._refuse(message, item.result, f"Fly there: {item.text}")
         if not move or item.frame not in (*ABOVE_HOME, *ABOVE_TERRAIN):
             text = "Fly there: give a position with an altitude above home"
-            return self._refuse(message, MissionResult.UNSUPPORTED, text, wall_s)
+            return self._refuse(message, MissionResult.UNSUPPORTED, text)
         rejection = self._context.control.set_loiter_point(item.x, item.y, item.z, None)
         note = TERRAIN_NOTE if item.frame in ABOVE_TERRAIN else ""
         text = rejection.text if rejection else note
-        texts = self._context.texts.make_warning(text, wall_s) if text else []
+        texts = self._context.warn(text) if text else []
         return [_ack(sender_of(message), _result(rejection)), *texts]
 
 

@@ -105,4 +105,4 @@ class StatusTexts:
         return self.make_text(Severity.WARNING, text)
 
 
-Handler = Callable[[Message, float], list[OutgoingMessage]]  # a message, wall-clock time in s
+Handler = Callable[[Message], list[OutgoingMessage]]

@@ -47,12 +47,12 @@ class ParameterProtocol:
         values = self._context.parameters()
         return [_value(name, values, index) for index, name in enumerate(values)]
 
-    def _list(self, message: Message, wall_s: float) -> list[OutgoingMessage]:
+    def _list(self, message: Message) -> list[OutgoingMessage]:
         """Start or restart the list."""
         self._next = 0
         return []
 
-    def _read(self, message: Message, wall_s: float) -> list[OutgoingMessage]:
+    def _read(self, message: Message) -> list[OutgoingMessage]:
         values = self._context.parameters()
         name, index = str(message.fields["param_id"]), int(message.number("param_index"))
         if index >= 0:
@@ -61,7 +61,7 @@ class ParameterProtocol:
             return [self._error(message, DOES_NOT_EXIST, name, index)]
         return [_value(name, values)]
 
-    def _set(self, message: Message, wall_s: float) -> list[OutgoingMessage]:
+    def _set(self, message: Message) -> list[OutgoingMessage]:
         """Set a value, and answer with the value that is now valid."""
         context, name = self._context, str(message.fields["param_id"])
         value = message.number("param_value")
@@ -71,13 +71,13 @@ class ParameterProtocol:
             text = f"{name}: " + (
                 "this aircraft has no parameters" if none else "no such parameter"
             )
-            warning = context.texts.make_warning(text, wall_s)
+            warning = context.warn(text)
             return [self._error(message, DOES_NOT_EXIST, name, -1), *warning]
         error, reason = self._change(name, value)
         replies = [_value(name, context.parameters())]
         if reason:
             replies = [self._error(message, error, name, -1), *replies]
-            replies += context.texts.make_warning(reason, wall_s)
+            replies += context.warn(reason)
         return replies
 
     def _change(self, name: str, value: float) -> tuple[int, str]:

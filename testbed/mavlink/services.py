@@ -30,7 +30,7 @@ class Services:
             "REQUEST_DATA_STREAM": self._stream,
         }
 
-    def _ftp(self, message: Message, wall_s: float) -> list[OutgoingMessage]:
+    def _ftp(self, message: Message) -> list[OutgoingMessage]:
         """Answer every operation with a NAK, as there are no files; ground stations go on."""
         payload = message.fields["payload"]
         assert isinstance(payload, tuple)
@@ -42,12 +42,12 @@ class Services:
         fields |= sender_of(message).target
         return [OutgoingMessage("FILE_TRANSFER_PROTOCOL", fields)]
 
-    def _logs(self, message: Message, wall_s: float) -> list[OutgoingMessage]:
+    def _logs(self, message: Message) -> list[OutgoingMessage]:
         """Answer that there are no logs."""
         names = ("id", "num_logs", "last_log_num", "time_utc", "size")
         return [OutgoingMessage("LOG_ENTRY", dict.fromkeys(names, 0))]
 
-    def _timesync(self, message: Message, wall_s: float) -> list[OutgoingMessage]:
+    def _timesync(self, message: Message) -> list[OutgoingMessage]:
         """Answer with the simulation time, ns."""
         if int(message.number("tc1")) != 0:
             return []  # an answer
@@ -55,13 +55,13 @@ class Services:
         now_ns = 0 if snapshot is None else round(snapshot.sample.time_s * 1e9)
         return [OutgoingMessage("TIMESYNC", {"tc1": max(now_ns, 1), "ts1": message.fields["ts1"]})]
 
-    def _ping(self, message: Message, wall_s: float) -> list[OutgoingMessage]:
+    def _ping(self, message: Message) -> list[OutgoingMessage]:
         if int(message.number("target_system")) != 0:
             return []  # an answer
         echo: Fields = {name: message.fields[name] for name in ("time_usec", "seq")}
         return [OutgoingMessage("PING", echo | sender_of(message).target)]
 
-    def _stream(self, message: Message, wall_s: float) -> list[OutgoingMessage]:
+    def _stream(self, message: Message) -> list[OutgoingMessage]:
         """Set the rate of a group of messages, as older ground stations request it."""
         rate_hz = message.number("req_message_rate")
         started = int(message.number("start_stop")) == 1

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from testbed.mavlink.flight_log import ColumnSource, FlightLog, LogSeries, field_source
+from testbed.mavlink.flight_log import ColumnSource, FlightLog, LogSeries, Unavailable, field_source
 
 _OUTPUTS = range(1, 17)
 _CENTRE, _HALF = 1500.0, 500.0  # µs
@@ -48,13 +48,9 @@ def output_source(message: str, name: FieldName, column: str) -> ColumnSource:
     """
     servo = SERVO_COLUMNS[column]
 
-    def source(log: FlightLog) -> LogSeries | str:
+    def source(log: FlightLog) -> LogSeries:
         number = _output(log, servo)
-        if number is None:
-            return f"no output has SERVOn_FUNCTION {servo.function}"
         pulses = _pulses(log, message, name(number))
-        if isinstance(pulses, str):
-            return pulses
         if log.params.get(f"SERVO{number}_REVERSED", servo.reversed) == servo.reversed:
             return pulses
         return LogSeries(f"3000 − {pulses.source}", pulses.time, _MIRROR - pulses.values, held=True)
@@ -70,10 +66,8 @@ def demand_source(column: str) -> ColumnSource:
     servo = SERVO_COLUMNS[column]
     sign = -1.0 if servo.reversed else 1.0
 
-    def source(log: FlightLog) -> LogSeries | str:
+    def source(log: FlightLog) -> LogSeries:
         series = field_source("AETR", servo.demand, held=True)(log)
-        if isinstance(series, str):
-            return series
         if column == "pwm_thr":
             values = 2.0 * _HALF + 2.0 * _HALF * np.clip(series.values / 100.0, 0.0, 1.0)
         else:
@@ -91,15 +85,11 @@ def throttle_output_source(message: str, name: FieldName) -> ColumnSource:
     """
     servo = SERVO_COLUMNS["pwm_thr"]
 
-    def source(log: FlightLog) -> LogSeries | str:
+    def source(log: FlightLog) -> LogSeries:
         number = _output(log, servo)
-        if number is None:
-            return f"no output has SERVOn_FUNCTION {servo.function}"
         pulses = _pulses(log, message, name(number))
-        if isinstance(pulses, str):
-            return pulses
         if f"SERVO{number}_MIN" not in log.params:
-            return f"no parameter SERVO{number}_MIN, which {pulses.source} needs"
+            raise Unavailable(f"no parameter SERVO{number}_MIN, which {pulses.source} needs")
         low, high = _servo_range(log, number)
         share = (pulses.values - low) / (high - low)
         if log.params.get(f"SERVO{number}_REVERSED"):
@@ -112,11 +102,9 @@ def throttle_output_source(message: str, name: FieldName) -> ColumnSource:
 def throttle_stick_source(message: str, name: FieldName) -> ColumnSource:
     """Make a source of throttle, 0 to 1, from the pilot's stick."""
 
-    def source(log: FlightLog) -> LogSeries | str:
+    def source(log: FlightLog) -> LogSeries:
         channel = int(log.params.get("RCMAP_THROTTLE", 3))
         pulses = _pulses(log, message, name(channel))
-        if isinstance(pulses, str):
-            return pulses
         low = log.params.get(f"RC{channel}_MIN", _MIN)
         high = log.params.get(f"RC{channel}_MAX", _MAX)
         return LogSeries(pulses.source, pulses.time, (pulses.values - low) / (high - low), True)
@@ -124,12 +112,15 @@ def throttle_stick_source(message: str, name: FieldName) -> ColumnSource:
     return source
 
 
-def _output(log: FlightLog, servo: ServoColumn) -> int | None:
+def _output(log: FlightLog, servo: ServoColumn) -> int:
     """Return the output with the column's function; without parameters its default."""
     functions = {n: log.params.get(f"SERVO{n}_FUNCTION") for n in _OUTPUTS}
     if all(function is None for function in functions.values()):
         return servo.output
-    return next((n for n, function in functions.items() if function == servo.function), None)
+    for number, function in functions.items():
+        if function == servo.function:
+            return number
+    raise Unavailable(f"no output has SERVOn_FUNCTION {servo.function}")
 
 
 def _servo_range(log: FlightLog, number: int) -> tuple[float, float]:
@@ -138,12 +129,10 @@ def _servo_range(log: FlightLog, number: int) -> tuple[float, float]:
     return (low, high) if low < high else (_MIN, _MAX)
 
 
-def _pulses(log: FlightLog, message: str, name: str) -> LogSeries | str:
+def _pulses(log: FlightLog, message: str, name: str) -> LogSeries:
     """Read pulses, µs, without the 0 of disabled and the 65535 of unused outputs."""
     series = field_source(message, name, held=True)(log)
-    if isinstance(series, str):
-        return series
     valid = (series.values > 0.0) & (series.values < 65535.0)
     if not valid.any():
-        return f"{message}.{name} is never a pulse"
+        raise Unavailable(f"{message}.{name} is never a pulse")
     return LogSeries(series.source, series.time[valid], series.values[valid], held=True)

@@ -9,12 +9,7 @@ import numpy as np
 
 from testbed.core.frames import quaternion_xyzw
 from testbed.core.geodetic import geodetic_from_ned
-from testbed.core.records import (
-    Array,
-    FbwaCommand,
-    NedOrigin,
-    Sample,
-)
+from testbed.core.records import Array, FbwaCommand, NedOrigin, Sample
 
 Rows = list[list[float]]
 

@@ -10,8 +10,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 from testbed.core.input_files import MAX_FLIGHT_LOG_BYTES, read_bounded
 from testbed.mavlink.codec import MavlinkError, Message, decode, frame_length
@@ -21,7 +19,7 @@ _FLUSH_S, _BUFFER_BYTES = 0.35, 1 << 14  # wall-clock s and bytes after which re
 
 
 class TlogWriter:
-    """Write a log; a context manager.
+    """Write a log.
 
     Raises:
         MavlinkError: the file cannot be written; also from every method, once.
@@ -66,19 +64,6 @@ class TlogWriter:
             yield
         except OSError as error:
             raise MavlinkError(f"{self._path}: cannot be written: {error.strerror}") from error
-
-    def __enter__(self) -> Self:
-        """Return this writer."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        """Close the log."""
-        self.close()
 
 
 class Tlog:

@@ -25,6 +25,7 @@ from testbed.mavlink.flight_log import (
     field_source,
     increasing,
     mode_name,
+    no_source,
     order_notes,
     transformed_source,
     true_airspeed_source,
@@ -91,7 +92,7 @@ COLUMNS: Mapping[str, tuple[ColumnSource, ...]] = {
     "airspeed_mps": (
         true_airspeed_source(
             field_source("VFR_HUD", "airspeed"),
-            (),
+            no_source,
             (field_source("VFR_HUD", "alt"), field_source("GLOBAL_POSITION_INT", "alt", 1e-3)),
         ),
     ),
@@ -198,10 +199,7 @@ def read_log(path: Path, system: int | None = None) -> FlightLog:
         attitude=_ATTITUDE,
         columns=COLUMNS,
         remedy=_REMEDY,
-        home=(
-            field_source(_POSITION, "alt", 1e-3),
-            field_source(_POSITION, "relative_alt", 1e-3),
-        ),
+        home=(field_source(_POSITION, "alt", 1e-3), field_source(_POSITION, "relative_alt", 1e-3)),
         clock_starts=clock.starts,
     )
 
@@ -351,11 +349,8 @@ def _check_vehicle(path: Path, vehicle: _Vehicle) -> bool:
                 f"{path}: the vehicle is not ArduPlane (HEARTBEAT has autopilot {autopilot}, "
                 f"type {kind}); give a log of ArduPlane"
             )
-    try:
-        said = is_plane(vehicle.texts, vehicle.params, first=False)
-        return said or bool(vehicle.heartbeats)
-    except MavlinkError as error:
-        raise MavlinkError(f"{path}: {error}") from error
+    plane = is_plane(path, vehicle.texts, vehicle.params, first=False)
+    return plane or bool(vehicle.heartbeats)
 
 
 def _mode_intervals(

@@ -73,8 +73,8 @@ class MavlinkVehicle:
         handler = self._handlers.get(message.name)
         if handler is None or not self._is_addressed(message):
             return []
-        before = self._active_item()
-        replies = handler(message, wall_s)
+        before, self._context.wall_s = self._active_item(), wall_s
+        replies = handler(message)
         if self._active_item() != before:
             self._item = self._active_item()  # by command: no item has been reached
         return replies
@@ -93,7 +93,8 @@ class MavlinkVehicle:
 
     def poll(self, wall_s: float) -> list[OutgoingMessage]:
         """Return messages due between samples: lists, repeated requests, heartbeats."""
-        messages = self._parameters.poll() + self._missions.poll(wall_s)
+        self._context.wall_s = wall_s
+        messages = self._parameters.poll() + self._missions.poll()
         if wall_s - self._heartbeat_s >= HEARTBEAT_S:
             self._heartbeat_s = wall_s
             messages.append(OutgoingMessage(HEARTBEAT, status.heartbeat(self._context)))

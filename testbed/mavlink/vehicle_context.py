@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from testbed.core.records import NedOrigin
-from testbed.mavlink.outgoing import StatusTexts
+from testbed.mavlink.outgoing import OutgoingMessage, StatusTexts
 from testbed.mavlink.rc_channels import (
     MAX_US,
     MIN_US,
@@ -63,6 +63,7 @@ class VehicleContext:
         version: of the testbed, as "0.7.0".
         epoch_us: Unix time of the start of the run, µs.
         snapshot: the latest sample; None: there was none yet.
+        wall_s: wall-clock time of the message that is handled, or of the latest poll, s.
         own_parameters: parameters that `control` does not have.
         texts: makes its STATUSTEXTs.
     """
@@ -74,6 +75,7 @@ class VehicleContext:
     version: str = "0"
     epoch_us: int = 0
     snapshot: TelemetrySnapshot | None = None
+    wall_s: float = 0.0
     own_parameters: dict[str, float] = field(default_factory=dict)
     texts: StatusTexts = field(default_factory=StatusTexts)
 
@@ -90,6 +92,10 @@ class VehicleContext:
     def uid(self) -> bytes:
         """Sixteen bytes that identify this aircraft, the same in every run."""
         return hashlib.sha256(f"{self.system}/{self.control.name}".encode()).digest()[:16]
+
+    def warn(self, text: str) -> list[OutgoingMessage]:
+        """Make a warning; none if the same text was sent a short time ago."""
+        return self.texts.make_warning(text, self.wall_s)
 
     def parameters(self) -> Mapping[str, float]:
         """Return all parameters that a ground station can read, in a fixed order."""

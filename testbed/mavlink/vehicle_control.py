@@ -143,11 +143,7 @@ class VehicleControl:
         return self._rejection
 
     def set_manual_command(
-        self,
-        command: FbwaCommand[float],
-        *,
-        attitude: bool = False,
-        answers_s: float | None = None,
+        self, command: FbwaCommand[float], *, attitude: bool = False, answers_s: float | None = None
     ) -> Rejection | None:
         """Set the fly-by-wire-A command, valid until the next one or the failsafe.
 

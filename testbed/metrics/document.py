@@ -26,7 +26,7 @@ _WALL_CLOCK_KEYS = ("wall_s", "real_time_factor")
 def finalise(
     summary: Metrics,
     *,
-    network: Mapping[str, Any],
+    network: Mapping[str, Any] | None,
     external: Mapping[str, Any],
     outcome: str,
     wall_s: float,
@@ -40,7 +40,8 @@ def finalise(
 
     Args:
         summary: of the samples.
-        network: statistics by sender and receiver in `links`, of all links in `all`.
+        network: statistics by sender and receiver in `links`, of all links in `all`; None: there
+            are no followers, and so no links.
         external: of external programs, if there were any: `pace`, `mavlink`, `arduplane` and
             `commanded`.
         outcome: one of `OUTCOMES`.
@@ -56,9 +57,9 @@ def finalise(
     document: dict[str, Any] = {
         **summary,
         "age_of_information_s": {
-            name: _age(network, name) for name in summary["age_of_information_s"]
+            name: _age(network or {"links": {}}, name) for name in summary["age_of_information_s"]
         },
-        "network": dict(network),
+        "network": None if network is None else dict(network),
         **external,
         "outcome": outcome,
         "wall_s": wall_s,

@@ -17,11 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.core.records import Array
-from testbed.network.links import (
-    NETEM_TABLE,
-    PARETO,
-    PARETONORMAL,
-)
+from testbed.network.links import NETEM_TABLE, PARETO, PARETONORMAL
 
 # Pareto with this shape and scale 1; mean 3/2, variance 3/4.
 PARETO_SHAPE = 3.0

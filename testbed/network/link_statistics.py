@@ -121,7 +121,7 @@ def record_ages(statistics: Records, rows: Numbers, age_s: Array) -> None:
 Links = tuple[NDArray[np.intp], NDArray[np.intp]]  # rows and columns (L,) of some links
 
 QUANTILES = {"p50": 0.50, "p95": 0.95, "p99": 0.99}
-OF_AGES = ("p50", "p95")
+OF_DELAYS, OF_AGES = ("min", "max", "p50", "p95", "p99"), ("max", "p50", "p95")
 # Outcomes of messages that were sent and not delivered.
 LOSSES = tuple(
     each
@@ -169,6 +169,7 @@ def _summary(statistics: Records, links: Links) -> dict[str, Any]:
     outcomes = statistics["outcomes"][links].sum(axis=0)
     sent = int(outcomes.sum() - outcomes[PacketOutcome.MUTED])
     delivered = int(outcomes[PacketOutcome.DELIVERED])
+    ages = _durations(statistics, links, "age", total("uses"), OF_AGES)
     lost = {outcome_name(each): int(outcomes[each]) for each in LOSSES if outcomes[each]}
     return {
         "sent": sent,
@@ -178,41 +179,26 @@ def _summary(statistics: Records, links: Links) -> dict[str, Any]:
         "muted": int(outcomes[PacketOutcome.MUTED]),
         "duplicated": total("duplicated"),
         "overtaken": total("overtaken"),
-        "delay_s": _delays(statistics, links, delivered),
+        "delay_s": _durations(statistics, links, "delay", delivered, OF_DELAYS),
         "bursts": _bursts(statistics, links, sum(lost.values())),
-        "age_s": _ages(statistics, links, total("uses")),
+        "age_s": ages and {**ages, "uses": total("uses")},
     }
 
 
-def _delays(statistics: Records, links: Links, count: int) -> dict[str, float] | None:
+def _durations(
+    statistics: Records, links: Links, kind: str, count: int, more: Sequence[str]
+) -> dict[str, float] | None:
+    """Summarise so many delays or ages ("delay", "age"): the mean, and these further values."""
     if not count:
         return None
-    least = float(statistics["delay_min"][links].min())
-    most = float(statistics["delay_max"][links].max())
-    mean = float(statistics["delay_sum"][links].sum()) / count
-    bins = statistics["delays"][links].sum(axis=0)
-    return {
-        # rounding must not put the mean of equal numbers outside them
-        "mean": min(max(mean, least), most),
-        "min": least,
-        "max": most,
-        **{name: quantile(bins, part, least, most) for name, part in QUANTILES.items()},
-    }
-
-
-def _ages(statistics: Records, links: Links, uses: int) -> dict[str, float | int] | None:
-    if not uses:
-        return None
-    least = float(statistics["age_min"][links].min())
-    most = float(statistics["age_max"][links].max())
-    mean = float(statistics["age_sum"][links].sum()) / uses
-    bins = statistics["ages"][links].sum(axis=0)
-    return {
-        "mean": min(max(mean, least), most),
-        "max": most,
-        **{name: quantile(bins, QUANTILES[name], least, most) for name in OF_AGES},
-        "uses": uses,
-    }
+    least = float(statistics[f"{kind}_min"][links].min())
+    most = float(statistics[f"{kind}_max"][links].max())
+    mean = float(statistics[f"{kind}_sum"][links].sum()) / count
+    bins = statistics[f"{kind}s"][links].sum(axis=0)
+    # rounding must not put the mean of equal numbers outside them
+    values = {"mean": min(max(mean, least), most), "min": least, "max": most}
+    values |= {name: quantile(bins, part, least, most) for name, part in QUANTILES.items()}
+    return {name: values[name] for name in ("mean", *more)}
 
 
 def _bursts(statistics: Records, links: Links, lost: int) -> dict[str, Any]:

@@ -104,23 +104,10 @@ class OutageEvents:
             yield Event(now, "info", source, text)
 
 
-def _links(names: Sequence[str]) -> Iterator[tuple[int, int]]:
-    """Yield row and column of every link, without those from an aircraft to itself."""
-    for i in range(len(names) - 1):
-        for m in range(len(names)):
-            if m != i + 1:
-                yield i, m
-
-
-def _no_links(names: Sequence[str]) -> BoolArray:
-    return np.zeros((len(names) - 1, len(names)), dtype=bool)
-
-
 def _transmitters_off(names: Sequence[str], network: Network) -> Iterator[Outage]:
     for name, windows in network.transmitter_off_s.items():
-        links = _no_links(names)
-        for i, m in _links(names):
-            links[i, m] = names[m] == name
+        of_sender = np.array(names) == name
+        links = of_sender & ~of_sender[1:, np.newaxis]  # none from an aircraft to itself
         begins, ends = "transmitter off", "transmitter on again"
         for begin, end in windows:
             yield Outage(begin, end, PacketOutcome.MUTED, links, name, begins, ends)
@@ -132,9 +119,8 @@ def _partitions(names: Sequence[str], network: Network) -> Iterator[Outage]:
         rest = tuple(name for name in names if name not in named)
         groups = [*partition.groups, rest] if rest else [*partition.groups]
         group_of = {name: number for number, group in enumerate(groups) for name in group}
-        links = _no_links(names)
-        for i, m in _links(names):
-            links[i, m] = group_of[names[m]] != group_of[names[i + 1]]
+        numbers = np.array([group_of[name] for name in names])
+        links = numbers != numbers[1:, np.newaxis]
         text = f"partition {' | '.join(' '.join(group) for group in groups)}"
         begins, ends = f"{text} begins", f"{text} ends"
         yield Outage(*partition.window_s, PacketOutcome.PARTITION, links, "run", begins, ends)
@@ -145,7 +131,7 @@ def _blackouts(names: Sequence[str], pairs: PairLinks) -> Iterator[Outage]:
     links_of: dict[Window, BoolArray] = {}
     for i, m, link in pairs.pairs():
         for window in link.blackout_s or ():
-            links_of.setdefault(window, _no_links(names))[i, m] = True
+            links_of.setdefault(window, np.zeros(pairs.numbers.shape, bool))[i, m] = True
     for (begin, end), links in links_of.items():
         text = f"blackout {_describe(names, links)}"
         begins, ends = f"{text} begins", f"{text} ends"
@@ -154,7 +140,7 @@ def _blackouts(names: Sequence[str], pairs: PairLinks) -> Iterator[Outage]:
 
 def _describe(names: Sequence[str], links: BoolArray) -> str:
     """Describe links in words."""
-    if links.sum() == sum(1 for _ in _links(names)):
+    if links.sum() == (len(names) - 1) ** 2:  # each follower receives from all but itself
         return "on all links"
     senders = np.flatnonzero(links.any(axis=0)).tolist()
     if len(senders) > MAX_SENDERS:

@@ -52,28 +52,14 @@ def send_and_count(
 ) -> bool:
     """Transmit one message of each sender and queue the copies that arrive.
 
-    See `transmit_broadcast` and `enqueue_broadcast` for the other arguments. Return whether the
-    next broadcast needs a larger queue.
-
-    `counts` (2,) are the messages on their way, written, and the most that one broadcast adds.
+    See `transmit_broadcast` and `enqueue_broadcast`.
     """
     sending = transmit_broadcast(
         links, departures_s, tables, transmitters, senders, muted, sent_s, messages
     )
-    count = enqueue_broadcast(
-        links, transmitters, queue, received, statistics, sending, sent_s, messages, counts[0]
+    return enqueue_broadcast(
+        links, transmitters, queue, received, statistics, sending, sent_s, messages, counts
     )
-    counts[0] = count
-    return bool(count + counts[1] > len(queue))
-
-
-@entry
-def deliver_and_count(
-    queue: Records, received: Records, statistics: Records, counts: Numbers, now: float
-) -> None:
-    """Deliver as `deliver_due`; `counts` as `send_and_count` has them."""
-    if counts[0]:
-        counts[0] = deliver_due(queue, received, statistics, counts[0], now)
 
 
 @entry
@@ -86,8 +72,8 @@ def enqueue_broadcast(
     sending: int,
     sent_s: Array,
     messages: Records,
-    count: int,
-) -> int:
+    counts: Numbers,
+) -> bool:
     """Queue the copies of a broadcast that arrive, and count what happened to it.
 
     Args:
@@ -99,11 +85,12 @@ def enqueue_broadcast(
         sending: S, number of senders; their rows are in `transmitters`.
         sent_s: (N,) s, transmission times.
         messages: (N,) of MESSAGE, stamped with the true times of their content.
-        count: of messages on their way.
+        counts: (2,) messages on their way, written, and the most that one broadcast adds.
 
     Returns:
-        Number of messages on their way.
+        Whether the next broadcast needs a larger queue.
     """
+    count = counts[0]
     for i in range(len(links)):
         for k in range(sending):
             m = transmitters[k].sender
@@ -124,26 +111,24 @@ def enqueue_broadcast(
                 first_s = min(packet.arrival_s[0], packet.arrival_s[1])
                 both = max(packet.arrival_s[0], packet.arrival_s[1]) < inf
                 record_packet(statistics[i, m], received[i, m], outcome, first_s - sent_s[m], both)
-    return count
+    counts[0] = count
+    return bool(count + counts[1] > len(queue))
 
 
 @entry
 def deliver_due(
-    queue: Records, received: Records, statistics: Records, count: int, now: float
-) -> int:
+    queue: Records, received: Records, statistics: Records, counts: Numbers, now: float
+) -> None:
     """Deliver the messages that have arrived, in order of arrival; a newer replaces an older.
 
     Args:
         queue: (C,) of QUEUED_MESSAGE; the messages that have arrived are removed.
         received: (n, N) of LINK; written.
         statistics: (n, N) of LINK_STATISTICS; `overtaken` is written.
-        count: of messages on their way.
+        counts: (2,) of `enqueue_broadcast`; the messages on their way are written.
         now: s.
-
-    Returns:
-        Number of messages still on their way.
     """
-    latest_s = now + SIMULTANEOUS_S
+    count, latest_s = counts[0], now + SIMULTANEOUS_S
     due, last_s, in_order = 0, -inf, True
     for k in range(count):
         arrival_s = queue[k].arrival_s
@@ -152,7 +137,7 @@ def deliver_due(
             in_order = in_order and arrival_s >= last_s
             last_s = arrival_s
     if due == 0:
-        return count
+        return
     if in_order:  # as most broadcasts arrive
         for k in range(count):
             queued = queue[k]
@@ -179,7 +164,7 @@ def deliver_due(
             if left < k:
                 queue[left] = queue[k]
             left += 1
-    return left
+    counts[0] = left
 
 
 @kernel

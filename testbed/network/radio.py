@@ -32,7 +32,7 @@ from testbed.network.packet_outcomes import transmit_broadcast
 from testbed.network.packet_queue import (
     NO_MESSAGE,
     allocate_queue,
-    deliver_and_count,
+    deliver_due,
     enqueue_broadcast,
     send_and_count,
 )
@@ -101,14 +101,14 @@ class Radio:
         # messages on their way, and the most that one broadcast adds
         self._counts = np.array([0, 2 * n * aircraft], dtype=np.int64)
         self._queue = allocate_queue(4 * n * aircraft)
-        self.deliver_call = Call(deliver_and_count, *self._received, self._counts, NOW)
+        self.deliver_call = Call(deliver_due, *self._received, self._counts, NOW)
         broadcast = self.senders, self.muted, self.sent_s, self.messages
         if self._encoder is None:
             self._send = Call(send_and_count, *self._sending)
         else:
             sending = self._links, self._departures_s, channel.tables, self._transmitters
             self._transmit = bind_entry(transmit_broadcast, *sending, *broadcast)
-            like = *self._received, 0, self.sent_s, self.messages, 0
+            like = *self._received, 0, self.sent_s, self.messages, self._counts
             self._enqueue = bind_entry(
                 enqueue_broadcast, self._links, self._transmitters, like=like
             )
@@ -183,8 +183,7 @@ class Radio:
         if self._encoder is None:
             grow = self._send(0.0)
         else:
-            self._send_frames(self._encoder)
-            grow = self._counts.sum() > len(self._queue)
+            grow = self._send_frames(self._encoder)
         if grow:
             self._grow_queue()
 
@@ -218,17 +217,21 @@ class Radio:
         if losses.fading and truth is not None:
             packets["fading"][:, rows] = losses.fading(truth, rows)
 
-    def _send_frames(self, encoder: Encoder) -> None:
-        """Send messages as frames, of which some are corrupted and pass the checksum."""
+    def _send_frames(self, encoder: Encoder) -> bool:
+        """Send messages as frames, of which some are corrupted and pass the checksum.
+
+        Return whether the next broadcast needs a larger queue.
+        """
         transmitters, first = self._transmitters, int(self._counts[0])
         sending = self._transmit()
         rows = np.flatnonzero(self.senders)
         numbers = np.array(transmitters["number"][rows])
         messages = encoder.encode(self.messages, transmitters["stamp_s"], rows, numbers)
         errors = encoder.corrupt(self.packets, rows, numbers)
-        self._counts[0] = self._enqueue(*self._received, sending, self.sent_s, messages, first)
+        grow = self._enqueue(*self._received, sending, self.sent_s, messages, self._counts)
         if errors is not None:
             self._write_errors(first, errors, rows)
+        return grow
 
     def _write_errors(self, first: int, errors: UndetectedErrors, rows: Numbers) -> None:
         """Write the content of corrupted copies into the queue, where a broadcast is from first."""

@@ -54,19 +54,20 @@ def temperature_offset(air: AirSection, elevation_m: float) -> float:
     return air.temperature_c - (SEA_LEVEL_K - 273.15 - LAPSE_RATE * elevation_m)
 
 
-def temperature_warnings(fleet: Fleet, offset: float) -> Iterator[Event]:
+def temperature_warnings(fleet: Fleet, offset: float, height_m: float) -> Iterator[Event]:
     """Warn of aircraft that a temperature does not act on as on the others.
 
     Args:
         fleet: the N aircraft.
         offset: of the temperature from the standard atmosphere, K.
+        height_m: of the start above the ground.
     """
     if not offset:
         return
     if not fleet.model_rows:
         text = "air.temperature_c has no effect: only flight models have an air density"
         yield Event(0.0, "warning", "run", text)
-    altitude = fleet.origin.elevation_m + fleet.leader.section.start.altitude_m
+    altitude = fleet.origin.elevation_m + height_m
     density = density_ratio(np.array([altitude]), offset) / density_ratio(np.array([altitude]))
     for each in fleet.aircraft:
         if each.arduplane:

@@ -8,13 +8,12 @@ from functools import partial
 
 from testbed.autopilot.parameters import FbwaParams
 from testbed.commands.autopilot_session import AutopilotSession
-from testbed.commands.external_control import ExternalControl
 from testbed.commands.navigator import NavigatorConfig
 from testbed.core.records import FbwaCommand
-from testbed.flight.leader_control import MissionController
+from testbed.flight.external_control import CommandSession, ExternalControl
+from testbed.flight.leader_control import LeaderController, MissionController
 from testbed.flight.schedule import Clock
 from testbed.flight.vehicles import JsbsimVehicles
-from testbed.flight.world import LeaderSetup
 from testbed.guidance.flight_plan import GuidanceMission
 from testbed.mavlink.mission_plans import ItemFlightPlan, items_from_mission, items_of_segments
 from testbed.mavlink.vehicle_control import FlightMode, VehicleControl
@@ -28,7 +27,7 @@ _BANK_LIMIT_DEG, _CLIMB_LIMIT_MPS = 45.0, 1.5  # of a follower's circles and mis
 def build_external_control(
     fleet: Fleet,
     clock: Clock,
-    leader: LeaderSetup,
+    leader: LeaderController | None,
     starts: Sequence[InitialState],
     jsbsim: JsbsimVehicles | None,
 ) -> ExternalControl:
@@ -37,11 +36,12 @@ def build_external_control(
     Args:
         fleet: the N aircraft.
         clock: of the run.
-        leader: the leader.
+        leader: of the scenario's own leader; None: there is none.
         starts: N.
         jsbsim: the vehicles with flight models.
     """
     vehicles: list[VehicleControl] = []
+    sessions: list[tuple[int, CommandSession]] = []
     for row, one in enumerate(fleet.aircraft):
         if jsbsim is None or not one.takes_commands:
             vehicles.append(_uncommandable(one))
@@ -50,8 +50,7 @@ def build_external_control(
         source = one.section.commanded_by
         trim = jsbsim.fleet.trims[fleet_row]
         north, east, down = starts[row].position_ned
-        controller = leader.controller
-        own = controller if row == 0 and isinstance(controller, MissionController) else None
+        own = leader if row == 0 and isinstance(leader, MissionController) else None
         flight_params = own.plan.mission if own else _flight_params(tune, starts[row].airspeed)
         config = NavigatorConfig(
             row=row,
@@ -67,17 +66,17 @@ def build_external_control(
             numbers = items_of_segments(flight_params)
             plan = ItemFlightPlan(own.plan, numbers, (flight_params.airspeed,) * len(numbers))
             mission = (plan, items_from_mission(flight_params, config.origin), own)
-        vehicles.append(
-            AutopilotSession(
-                one.name,
-                config,
-                tune,
-                partial(jsbsim.retune, fleet_row),
-                external=source if isinstance(source, External) else None,
-                mission=mission,
-            )
+        session = AutopilotSession(
+            one.name,
+            config,
+            tune,
+            partial(jsbsim.retune, fleet_row),
+            external=source if isinstance(source, External) else None,
+            mission=mission,
         )
-    return ExternalControl(vehicles)
+        vehicles.append(session)
+        sessions.append((row, session))
+    return ExternalControl(vehicles, sessions)
 
 
 def _uncommandable(one: PlannedAircraft) -> VehicleControl:

@@ -28,7 +28,7 @@ from testbed.formation.control_step import Hbh23Law, initial_controllers, make_n
 from testbed.formation.hbh23 import LAW
 from testbed.formation.law import FormationConfig, Law
 from testbed.formation.middle_loop import LOOP
-from testbed.plan.fleet import AgentParameters, Fleet, PlannedFollower
+from testbed.plan.fleet import AgentParameters, FormationPlan, PlannedFollower
 from testbed.plan.user_code import build_function, build_law, check_law
 from testbed.scenario import MiddleLoopGains as Profile
 from testbed.scenario.control import Companion, Controller
@@ -45,7 +45,7 @@ _ANGULAR_ACCELERATION_SOURCES = {
 }
 
 
-def build_control(fleet: Fleet, controller: Controller, clock: Clock) -> BuiltControl:
+def build_control(fleet: FormationPlan, controller: Controller, clock: Clock) -> BuiltControl:
     """Build the control of the followers of a fleet."""
     config = build_config(fleet, controller, dt=clock.control / clock.base_rate_hz)
     law, messages = build_law_records(fleet.followers, controller, config)
@@ -258,7 +258,7 @@ _OF_FOLLOWERS = (
 )
 
 
-def build_config(fleet: Fleet, controller: Controller, *, dt: float) -> FormationConfig:
+def build_config(fleet: FormationPlan, controller: Controller, *, dt: float) -> FormationConfig:
     """Build the configuration of all n followers, which step every `dt` s."""
     names, profiles = fleet.names[1:], [each.gains for each in fleet.followers]
     leader_s, neighbour_s = controller.leader_timeout_s, controller.neighbour_timeout_s

@@ -10,8 +10,8 @@ from testbed.core.errors import InputError
 from testbed.core.records import Event
 from testbed.flight.faults import FaultManager, describe_fault
 from testbed.flight.membership import FormationMembership
-from testbed.plan.fleet import Fleet, unreachable_agents
-from testbed.scenario.aircraft import Follower, Leader
+from testbed.plan.fleet import Fleet, FormationPlan, unreachable_agents
+from testbed.scenario.aircraft import AircraftSection
 from testbed.scenario.arguments import with_changes
 from testbed.scenario.control import OnFailure
 from testbed.scenario.faults import AnyFault, GpsJump, GpsLost
@@ -48,7 +48,7 @@ def build_faults(
 
 
 def build_membership(
-    fleet: Fleet, response: OnFailure, law: str, faults: FaultManager | None
+    fleet: FormationPlan, response: OnFailure, law: str, faults: FaultManager | None
 ) -> FormationMembership | None:
     """Build the responses to declared failures; None if there are none.
 
@@ -72,16 +72,16 @@ def build_membership(
     )
 
 
-def _as_declared(fault: AnyFault, aircraft: Leader | Follower) -> AnyFault:
+def _as_declared(fault: AnyFault, aircraft: AircraftSection) -> AnyFault:
     """Return the fault; one without effect is not declared."""
     return fault if _has_effect(fault, aircraft) else with_changes(fault, declared=False)
 
 
-def _has_effect(fault: AnyFault, aircraft: Leader | Follower) -> bool:
+def _has_effect(fault: AnyFault, aircraft: AircraftSection) -> bool:
     return not isinstance(fault, GpsLost | GpsJump) or has_filter(aircraft.sensors)
 
 
-def fault_warnings(fleet: Fleet, response: OnFailure) -> Iterator[Event]:
+def fault_warnings(fleet: FormationPlan, response: OnFailure) -> Iterator[Event]:
     """Warn of faults without effect, and of failures that leave others without a reference."""
     for each in (aircraft.section for aircraft in fleet.aircraft):
         for fault in each.faults:
@@ -95,7 +95,7 @@ def fault_warnings(fleet: Fleet, response: OnFailure) -> Iterator[Event]:
         yield from _reference_warnings(fleet)
 
 
-def _reference_warnings(fleet: Fleet) -> Iterator[Event]:
+def _reference_warnings(fleet: FormationPlan) -> Iterator[Event]:
     """Warn of followers without a position reference once a failed one is excluded."""
     names, holds_altitude = fleet.names[1:], ~np.isnan(fleet.altitudes)
     for failed, follower in enumerate(each.section for each in fleet.followers):

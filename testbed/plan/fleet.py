@@ -22,12 +22,13 @@ from testbed.scenario import (
     Problem,
     Scenario,
     ScenarioError,
+    SingleAircraft,
     find_aircraft,
     find_tune,
     load_guidance,
     middle_loop_gains,
 )
-from testbed.scenario.aircraft import ArduPlane, Follower, Leader, Mission
+from testbed.scenario.aircraft import AircraftSection, ArduPlane, Follower, Leader, Mission
 from testbed.scenario.control import (
     Agent,
     BarrierFunction,
@@ -64,7 +65,7 @@ class PlannedAircraft:
     """One aircraft: its section of the scenario, and what the files that it names contain."""
 
     row: int  # among the N aircraft; the leader's is 0
-    section: Leader | Follower
+    section: AircraftSection
     folder: Path  # of the airframe
     airframe: Airframe
     tune_file: Path
@@ -111,17 +112,10 @@ class PlannedLeader(PlannedAircraft):
 
 @dataclass(frozen=True, slots=True)
 class Fleet:
-    """The N aircraft of a scenario, the leader first, and the graph of its n followers."""
+    """The N aircraft of a flight."""
 
-    leader: PlannedLeader
-    followers: tuple[PlannedFollower, ...]
+    aircraft: tuple[PlannedAircraft, ...]
     origin: NedOrigin
-    weights: Array  # β (n, N, 3): of the leader, then of each follower
-
-    @property
-    def aircraft(self) -> tuple[PlannedAircraft, ...]:
-        """All N aircraft."""
-        return (self.leader, *self.followers)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -132,6 +126,15 @@ class Fleet:
     def model_rows(self) -> tuple[int, ...]:
         """Rows of the M aircraft with flight models."""
         return tuple(each.row for each in self.aircraft if each.has_model)
+
+
+@dataclass(frozen=True, slots=True)
+class FormationPlan(Fleet):
+    """A leader, first of the N aircraft, and the graph of its n followers."""
+
+    leader: PlannedLeader
+    followers: tuple[PlannedFollower, ...]
+    weights: Array  # β (n, N, 3): of the leader, then of each follower
 
     @property
     def offsets(self) -> Array:
@@ -148,7 +151,18 @@ class Fleet:
         return np.array([value(each) for each in self.followers], dtype=np.float64)
 
 
-def resolve(scenario: Scenario) -> Fleet:
+def resolve_single(flight: SingleAircraft) -> Fleet:
+    """Read the files of one aircraft that flies without a formation.
+
+    Raises:
+        ScenarioError, ParamError, AircraftError: see `resolve`.
+    """
+    folder = find_aircraft(flight.only.aircraft)
+    alone = PlannedAircraft(**_read_files(0, flight.only, folder, read_params, load_guidance))
+    return Fleet((alone,), NedOrigin(**flight.scenario.origin.model_dump()))
+
+
+def resolve(scenario: Scenario) -> FormationPlan:
     """Read the files of all aircraft of a scenario, and solve for the formation's gains.
 
     Raises:
@@ -157,42 +171,57 @@ def resolve(scenario: Scenario) -> Fleet:
     """
     folders = [find_aircraft(each.aircraft) for each in scenario.aircraft]
     probe_airframes(folders)
-    params, guidance = cache(read_params), cache(load_guidance)
+    readers = cache(read_params), cache(load_guidance)
     gains = cache(lambda folder: middle_loop_gains(scenario, folder))
     scripted = not isinstance(scenario.leader.path, Mission)
-
-    def of_files(row: int, section: Leader | Follower) -> dict[str, Any]:
-        folder, is_scripted = folders[row], scripted and row == 0
-        tune_file = find_tune(folder, section.tune)
-        return {
-            "row": row,
-            "folder": folder,
-            "airframe": airframe(folder),
-            "tune_file": tune_file,
-            "params": params(tune_file),
-            "guidance": guidance(folder),
-            "has_model": section.vehicle == "jsbsim" and not is_scripted,
-            "is_ideal": section.vehicle == "unicycle" and not is_scripted,
-            "is_scripted": is_scripted,
-        }
-
+    files = [
+        _read_files(row, section, folder, *readers, is_scripted=scripted and row == 0)
+        for row, (section, folder) in enumerate(zip(scenario.aircraft, folders, strict=True))
+    ]
     formation, followers = scenario.formation, scenario.fleet
-    return Fleet(
-        PlannedLeader(section=scenario.leader, **of_files(0, scenario.leader)),
-        tuple(
-            PlannedFollower(
-                section=each,
-                **of_files(row, each),
-                gains=gains(folders[row]),
-                agent=agent_parameters(formation, each.name),
-                offset=formation.offsets_m[each.name],
-                altitude=formation.altitudes_m.get(each.name, math.nan),
-            )
-            for row, each in enumerate(followers, start=1)
-        ),
+    leader = PlannedLeader(**files[0])
+    planned = tuple(
+        PlannedFollower(
+            **own,
+            gains=gains(own["folder"]),
+            agent=agent_parameters(formation, each.name),
+            offset=formation.offsets_m[each.name],
+            altitude=formation.altitudes_m.get(each.name, math.nan),
+        )
+        for each, own in zip(followers, files[1:], strict=True)
+    )
+    return FormationPlan(
+        (leader, *planned),
         NedOrigin(**scenario.scenario.origin.model_dump()),
+        leader,
+        planned,
         solve_weights(formation, [each.name for each in followers]),
     )
+
+
+def _read_files(
+    row: int,
+    section: AircraftSection,
+    folder: Path,
+    params: Callable[[Path], FbwaParams],
+    guidance: Callable[[Path], Guidance],
+    *,
+    is_scripted: bool = False,
+) -> dict[str, Any]:
+    """Return the fields of `PlannedAircraft`, with what the files contain by their readers."""
+    tune_file = find_tune(folder, section.tune)
+    return {
+        "row": row,
+        "section": section,
+        "folder": folder,
+        "airframe": airframe(folder),
+        "tune_file": tune_file,
+        "params": params(tune_file),
+        "guidance": guidance(folder),
+        "has_model": section.vehicle == "jsbsim" and not is_scripted,
+        "is_ideal": section.vehicle == "unicycle" and not is_scripted,
+        "is_scripted": is_scripted,
+    }
 
 
 def agent_parameters(formation: Formation, name: str) -> AgentParameters:

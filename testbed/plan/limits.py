@@ -22,11 +22,11 @@ from testbed.flight.limits import (
     EnvelopeMonitor,
     ProximityMonitor,
 )
-from testbed.plan.fleet import Fleet
+from testbed.plan.fleet import Fleet, FormationPlan
 from testbed.scenario.sections import Limits
 
 
-def build_proximity(fleet: Fleet, limits: Limits) -> ProximityMonitor:
+def build_proximity(fleet: FormationPlan, limits: Limits) -> ProximityMonitor:
     """Build the monitor with the limits of a scenario."""
     return ProximityMonitor(
         fleet.names,
@@ -38,7 +38,7 @@ def build_proximity(fleet: Fleet, limits: Limits) -> ProximityMonitor:
     )
 
 
-def minimum_separations(fleet: Fleet, limits: Limits) -> Array:
+def minimum_separations(fleet: FormationPlan, limits: Limits) -> Array:
     """Return the minimum separation by aircraft (N,), m; NaN for a virtual leader, a point."""
     limit_m = limits.min_separation_m
     spans = [each.airframe.span for each in fleet.aircraft]
@@ -48,7 +48,7 @@ def minimum_separations(fleet: Fleet, limits: Limits) -> Array:
     return minimum
 
 
-def separation_warnings(fleet: Fleet, limits: Limits) -> Iterator[Event]:
+def separation_warnings(fleet: FormationPlan, limits: Limits) -> Iterator[Event]:
     """Warn of starts and of slots that are closer together than the minimum separation."""
     minimum, names = minimum_separations(fleet, limits), fleet.names
     starts = [(0.0, 0.0, 0.0), *(each.section.start_m for each in fleet.followers)]

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from testbed.core.errors import InputError
 from testbed.core.files import format_bytes
-from testbed.scenario import Scenario
+from testbed.scenario import Scenario, SingleAircraft
 from testbed.scenario.sensors import TRUTH
 
 # bytes
@@ -30,14 +30,14 @@ _OWN_CGROUP = Path("/proc/self/cgroup")
 _STATM = Path("/proc/self/statm")
 
 
-def memory_needed(scenario: Scenario) -> float:
+def memory_needed(scenario: Scenario | SingleAircraft) -> float:
     """Return the largest memory of a flight, bytes."""
-    n = 1 + len(scenario.fleet)
-    duration_s = scenario.scenario.duration_s
-    links = scenario.network.links.values()
-    per_link = (each.delay_s or 0.0 for receivers in links for each in receivers.values())
-    delay_s = min(max([scenario.network.delay_s, *per_link]), duration_s)
-    in_flight = n * (n - 1) * scenario.rates.broadcast_hz * delay_s
+    n, in_flight = len(scenario.aircraft), 0.0
+    if isinstance(scenario, Scenario):
+        links = scenario.network.links.values()
+        per_link = (each.delay_s or 0.0 for receivers in links for each in receivers.values())
+        delay_s = min(max([scenario.network.delay_s, *per_link]), scenario.scenario.duration_s)
+        in_flight = n * (n - 1) * scenario.rates.broadcast_hz * delay_s
     return _PROGRAM + _PER_AIRCRAFT * n + _PER_MESSAGE * in_flight
 
 
@@ -50,7 +50,7 @@ def disk_needed(scenario: Scenario) -> float:
     return samples * (per_aircraft * len(scenario.aircraft) + _LOG_ESTIMATE * with_errors)
 
 
-def check_memory(scenario: Scenario) -> None:
+def check_memory(scenario: Scenario | SingleAircraft) -> None:
     """Refuse a flight that needs more memory than is free.
 
     Raises:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -24,7 +24,8 @@ from testbed.flight.vehicles import JsbsimVehicles, UnicycleVehicles, Vehicles
 from testbed.flight.world import LeaderSetup
 from testbed.plan.air import initial_wind
 from testbed.plan.control import own_speed_model
-from testbed.plan.fleet import Fleet, PlannedAircraft
+from testbed.plan.fleet import Fleet, FormationPlan, PlannedAircraft
+from testbed.scenario import SingleAircraft
 from testbed.scenario.aircraft import VirtualAutopilot
 from testbed.scenario.checks import LOWEST_START_M
 from testbed.scenario.control import Controller
@@ -41,7 +42,6 @@ class BuiltVehicles:
 
     vehicles: tuple[Vehicles, ...]
     jsbsim: JsbsimVehicles | None  # None: no aircraft has a JSBSim model
-    jsbsim_rows: tuple[int, ...]  # of these among the N aircraft
 
     @property
     def fleet(self) -> JsbsimFleet | None:
@@ -49,16 +49,46 @@ class BuiltVehicles:
         return None if self.jsbsim is None else self.jsbsim.fleet
 
 
-def build_starts(fleet: Fleet, leader: LeaderSetup, mean_wind: MeanWind) -> list[InitialState]:
+def build_starts(
+    fleet: FormationPlan, leader: LeaderSetup, mean_wind: MeanWind
+) -> list[InitialState]:
     """Return the initial states of all aircraft.
 
     Raises:
         InputError: an aircraft starts too close to the ground.
     """
     followers = (_follower_start(leader.start, each.section.start_m) for each in fleet.followers)
+    return place_in_wind(fleet, (leader.start, *followers), mean_wind)
+
+
+def build_single_start(
+    fleet: Fleet, flight: SingleAircraft, mean_wind: MeanWind
+) -> list[InitialState]:
+    """Return the initial state of one aircraft, above the origin.
+
+    Raises:
+        InputError: it starts too close to the ground.
+    """
+    course, height = math.radians(flight.start.course_deg), flight.start.altitude_m
+    velocity = flight.speed_mps * math.cos(course), flight.speed_mps * math.sin(course), 0.0
+    start = InitialState(
+        position_ned=(0.0, 0.0, -height),
+        course=math.atan2(velocity[1], velocity[0]),
+        airspeed=math.dist(velocity, initial_wind(mean_wind, height)),
+    )
+    return place_in_wind(fleet, (start,), mean_wind)
+
+
+def place_in_wind(
+    fleet: Fleet, still: Iterable[InitialState], mean_wind: MeanWind
+) -> list[InitialState]:
+    """Return the initial states of all aircraft in the wind at their heights.
+
+    Raises:
+        InputError: an aircraft starts too close to the ground.
+    """
     starts = [
-        replace(start, wind_ned=initial_wind(mean_wind, -start.position_ned[2]))
-        for start in (leader.start, *followers)
+        replace(start, wind_ned=initial_wind(mean_wind, -start.position_ned[2])) for start in still
     ]
     for each, start in zip(fleet.aircraft, starts, strict=True):
         if not each.is_scripted and start.position_ned[2] > -LOWEST_START_M:
@@ -71,7 +101,7 @@ def build_starts(fleet: Fleet, leader: LeaderSetup, mean_wind: MeanWind) -> list
 
 
 def build_vehicles(
-    fleet: Fleet,
+    fleet: FormationPlan,
     leader: LeaderSetup,
     starts: Sequence[InitialState],
     rates: Rates,
@@ -106,30 +136,33 @@ def build_vehicles(
     if leader.vehicle:
         leader.vehicle.bind(aircraft)
         vehicles.append(leader.vehicle)
-    modelled = [each for each in fleet.aircraft if each.has_model]
     jsbsim = None
-    if modelled:
-        own_starts = [starts[each.row] for each in modelled]
-        models = _build_models(modelled, own_starts, fleet.origin, clock, warmer, processes)
-        gains = _build_gains(modelled, rates, clock)
+    if fleet.model_rows:
         jsbsim = build_jsbsim_vehicles(
-            modelled, models, gains, aircraft, fleet.origin, rates, arduplane
+            fleet,
+            starts,
+            rates,
+            clock,
+            aircraft,
+            warmer=warmer,
+            arduplane=arduplane,
+            processes=processes,
         )
         vehicles.append(jsbsim)
     if any(each.is_ideal for each in fleet.aircraft):
         vehicles.append(
             _build_unicycles(fleet, controller, leader_pole, starts, leader, clock, aircraft)
         )
-    return BuiltVehicles(tuple(vehicles), jsbsim, fleet.model_rows)
+    return BuiltVehicles(tuple(vehicles), jsbsim)
 
 
 def gust_input_warnings(
-    fleet: Fleet, vehicles: BuiltVehicles, *, steady_air: bool
+    fleet: Fleet, models: JsbsimFleet | None, *, steady_air: bool
 ) -> Iterator[Event]:
     """Warn of aircraft whose model has no input for rotations of the air."""
-    if vehicles.fleet is None or steady_air:
+    if models is None or steady_air:
         return
-    missing = zip(vehicles.jsbsim_rows, vehicles.fleet.no_gust_inputs, strict=True)
+    missing = zip(fleet.model_rows, models.no_gust_inputs, strict=True)
     for row, no_inputs in missing:
         if no_inputs:
             text = (
@@ -183,7 +216,7 @@ def _build_models(
 
 
 def _build_unicycles(
-    fleet: Fleet,
+    fleet: FormationPlan,
     controller: Controller,
     leader_pole: float,
     starts: Sequence[InitialState],
@@ -237,32 +270,31 @@ def _instances(row: int, fixed: Mapping[int, int | None]) -> Sequence[int]:
 
 
 def build_jsbsim_vehicles(
-    modelled: Sequence[PlannedAircraft],
-    fleet: JsbsimFleet,
-    gains: Records,
-    aircraft: Records,
-    origin: NedOrigin,
+    fleet: Fleet,
+    starts: Sequence[InitialState],
     rates: Rates,
-    arduplane: Path | None,
+    clock: Clock,
+    aircraft: Records,
+    *,
+    warmer: float,
+    arduplane: Path | None = None,
+    processes: int | None = 1,
 ) -> JsbsimVehicles:
-    """Make the vehicles of M aircraft with flight models.
+    """Build the vehicles of the M aircraft with flight models, of which there is one or more.
 
-    Args:
-        modelled: M aircraft.
-        fleet: their flight models.
-        gains: (M,) of fbwa.GAINS.
-        aircraft: (N,) of AIRCRAFT.
-        origin: of the local frame.
-        rates: of the run.
-        arduplane: the program of the command line.
+    See `build_vehicles`.
     """
-    rows = np.array([each.row for each in modelled], dtype=np.intp)
+    modelled, origin = [each for each in fleet.aircraft if each.has_model], fleet.origin
+    own_starts = [starts[each.row] for each in modelled]
+    models = _build_models(modelled, own_starts, origin, clock, warmer, processes)
+    gains = _build_gains(modelled, rates, clock)
+    rows = np.array(fleet.model_rows, dtype=np.intp)
     if not any(each.arduplane for each in modelled):
-        return JsbsimVehicles(fleet, gains, aircraft, rows)
+        return JsbsimVehicles(models, gains, aircraft, rows)
     # imported here, as few scenarios need them
     from testbed.autopilot.ardupilot_sitl import SitlConfig, SitlVehicle
 
-    yaw = fleet.read().euler[:, 2]
+    yaw = models.read().euler[:, 2]
     fixed = {
         each.row: each.arduplane.fixed_instance(each.row) for each in modelled if each.arduplane
     }
@@ -278,7 +310,7 @@ def build_jsbsim_vehicles(
             tune=each.tune_file,
             timeout_s=autopilot.timeout_s,
             heading_deg=math.degrees(float(yaw[k])) % 360.0,
-            elevon_mixing=float(fleet.geometry.mixing[k]),
+            elevon_mixing=float(models.geometry.mixing[k]),
         )
         planes[k] = SitlVehicle(
             config,
@@ -286,4 +318,4 @@ def build_jsbsim_vehicles(
             physics_hz=rates.physics_hz,
             autopilot_hz=rates.autopilot_hz,
         )
-    return ArduPlaneVehicles(fleet, gains, aircraft, rows, planes, arduplane)
+    return ArduPlaneVehicles(models, gains, aircraft, rows, planes, arduplane)

@@ -32,11 +32,11 @@ from testbed.formation.slots import (
     slot_speed,
     slot_speed_range,
 )
-from testbed.plan.fleet import Fleet, PlannedFollower
-from testbed.plan.vehicles import BuiltVehicles
-from testbed.scenario import Scenario
+from testbed.plan.fleet import Fleet, FormationPlan, PlannedFollower
+from testbed.scenario import Scenario, SingleAircraft
 from testbed.scenario.sections import Rates
 from testbed.scenario.unusual import unusual_numbers
+from testbed.vehicle.fleet import JsbsimFleet
 from testbed.vehicle.jsbsim_adapter import modes_of_aircraft
 from testbed.vehicle.step_size import describe_coarse_step, find_coarse_step
 from testbed.vehicle.trim import STILL, TrimPoint, Vector
@@ -47,7 +47,11 @@ _KAPPA = "formation.kappa_mps"
 
 
 def assumption_warnings(
-    scenario: Scenario, fleet: Fleet, built: BuiltControl, leader: LeaderSetup, wind_ned: Vector
+    scenario: Scenario,
+    fleet: FormationPlan,
+    built: BuiltControl,
+    leader: LeaderSetup,
+    wind_ned: Vector,
 ) -> tuple[Event, ...]:
     """Return a warning for each assumption that does not hold, or may not."""
     findings = list(_findings(scenario, fleet, built, leader, wind_ned))
@@ -67,7 +71,7 @@ def assumption_warnings(
     )
 
 
-def unusual_warnings(scenario: Scenario) -> Iterator[Event]:
+def unusual_warnings(scenario: Scenario | SingleAircraft) -> Iterator[Event]:
     """Return a warning for each key with a number that is allowed, and larger than usual."""
     for text in unusual_numbers(scenario):
         yield Event(0.0, "warning", "run", text)
@@ -126,7 +130,11 @@ def _only_worst_slot(
 
 
 def _findings(
-    scenario: Scenario, fleet: Fleet, built: BuiltControl, leader: LeaderSetup, wind_ned: Vector
+    scenario: Scenario,
+    fleet: FormationPlan,
+    built: BuiltControl,
+    leader: LeaderSetup,
+    wind_ned: Vector,
 ) -> Iterator[Finding]:
     config, law = built.config, built.controllers["law"]
     kappa = fleet.of_followers(lambda each: each.agent.kappa_mps)
@@ -199,7 +207,7 @@ class _Limit(NamedTuple):
     write: str  # the key of the scenario, to be formatted with a number
 
 
-def limit_warnings(fleet: Fleet) -> Iterator[Event]:
+def limit_warnings(fleet: FormationPlan) -> Iterator[Event]:
     """Return a warning for each limit that undercuts another one, with the aircraft."""
     found: dict[str, list[str]] = {}
     for follower in fleet.followers:
@@ -263,7 +271,7 @@ class _Demand(NamedTuple):
 
 
 def leader_warnings(
-    fleet: Fleet,
+    fleet: FormationPlan,
     config: FormationConfig,
     leader: LeaderSetup,
     duration_s: float,
@@ -376,7 +384,7 @@ def _text(limit: _Limit) -> str:
     return ""
 
 
-def step_warnings(fleet: Fleet, rates: Rates, built: BuiltVehicles) -> Iterator[Event]:
+def step_warnings(fleet: Fleet, rates: Rates, models: JsbsimFleet | None) -> Iterator[Event]:
     """Warn of flight models whose modes are too fast for rates.physics_hz.
 
     Eigenvalues grow with the airspeed: of several aircraft of a kind the fastest is examined.
@@ -384,12 +392,12 @@ def step_warnings(fleet: Fleet, rates: Rates, built: BuiltVehicles) -> Iterator[
     Raises:
         InputError: a mode is unstable at this rate.
     """
-    if built.fleet is None:
+    if models is None:
         return
     fastest = dict[Path, TrimPoint]()
     multiple_hz = math.lcm(rates.autopilot_hz, rates.control_hz, rates.broadcast_hz, rates.log_hz)
     names: dict[Path, list[str]] = {}
-    for row, trim in zip(built.jsbsim_rows, built.fleet.trims, strict=True):
+    for row, trim in zip(fleet.model_rows, models.trims, strict=True):
         folder, point = fleet.aircraft[row].folder, trim.point
         names.setdefault(folder, []).append(fleet.names[row])
         if folder not in fastest or point.airspeed > fastest[folder].airspeed:

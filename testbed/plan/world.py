@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from testbed import __version__
+from testbed.atmosphere.air import Atmosphere
+from testbed.atmosphere.mean_wind import MeanWind
 from testbed.core.compile import registered, registering
 from testbed.core.random import named_stream
 from testbed.core.records import (
     AIRCRAFT,
     FOLLOWER,
+    LINK,
     Event,
+    Records,
     RunInfo,
     allocate,
     write_fields,
@@ -23,8 +27,9 @@ from testbed.core.start_time import start_unix_ns
 from testbed.flight.arduplane_vehicles import ArduPlaneVehicles
 from testbed.flight.control import Control
 from testbed.flight.faults import FaultManager, no_faults
+from testbed.flight.limits import ProximityMonitor
 from testbed.flight.schedule import Clock, make_clock
-from testbed.flight.world import BuiltControl, LeaderSetup, World
+from testbed.flight.world import BuiltControl, FormationParts, LeaderSetup, World
 from testbed.plan.air import (
     build_air,
     build_mean_wind,
@@ -37,13 +42,19 @@ from testbed.plan.air import (
 from testbed.plan.commands import build_external_control
 from testbed.plan.control import build_companions, build_control
 from testbed.plan.faults import build_faults, build_membership, fault_warnings
-from testbed.plan.fleet import Fleet, resolve
+from testbed.plan.fleet import Fleet, FormationPlan, resolve, resolve_single
 from testbed.plan.leader import build_leader
 from testbed.plan.limits import build_envelope_monitor, build_proximity, separation_warnings
 from testbed.plan.radio import build_radio, transmit_times
 from testbed.plan.resources import check_memory
 from testbed.plan.user_code import with_stored_code
-from testbed.plan.vehicles import build_starts, build_vehicles, gust_input_warnings
+from testbed.plan.vehicles import (
+    build_jsbsim_vehicles,
+    build_single_start,
+    build_starts,
+    build_vehicles,
+    gust_input_warnings,
+)
 from testbed.plan.warnings import (
     assumption_warnings,
     leader_warnings,
@@ -54,7 +65,7 @@ from testbed.plan.warnings import (
     tune_warnings,
     unusual_warnings,
 )
-from testbed.scenario import SCHEMA_VERSION, Scenario, dump
+from testbed.scenario import SCHEMA_VERSION, Scenario, SingleAircraft, dump
 from testbed.sensors.estimators import StateEstimators
 from testbed.vehicle.environment import describe_integrators
 from testbed.vehicle.jsbsim_adapter import VERSION as JSBSIM_VERSION
@@ -102,19 +113,8 @@ def build(
         wind_speed=strongest_wind(scenario.air, mean_wind, height, duration_s),
     )
     starts = build_starts(fleet, leader, mean_wind)
-    aircraft, followers = allocate(AIRCRAFT, len(names)), allocate(FOLLOWER, len(names) - 1)
-    write_fields(aircraft["faults"], no_faults(len(names)))
-    air = build_air(
-        scenario.air,
-        mean_wind,
-        names,
-        [each.airframe for each in fleet.aircraft],
-        seed=seed,
-        height_m=height,
-        elevation_m=origin.elevation_m,
-        dt=clock.autopilot / clock.base_rate_hz,
-        sheds=[each.has_model for each in fleet.aircraft],
-    )
+    aircraft, followers = _allocate_aircraft(fleet), allocate(FOLLOWER, len(names) - 1)
+    air = _build_air(scenario, fleet, mean_wind, height, clock)
     if not air.steady:
         air.bind(aircraft)
     vehicles = build_vehicles(
@@ -136,7 +136,7 @@ def build(
     faults = build_faults(fleet, vehicles.fleet, on_failure.declared_after_s)
     external = None
     if commanded or any(each.commanded_by.kind == "external" for each in scenario.aircraft):
-        external = build_external_control(fleet, clock, leader, starts, jsbsim)
+        external = build_external_control(fleet, clock, leader.controller, starts, jsbsim)
     estimators = _build_estimators(scenario, faults)
     companions = build_companions(scenario.controller.companion, clock, aircraft)
     return World(
@@ -146,10 +146,29 @@ def build(
         aircraft=aircraft,
         followers=followers,
         links=radio.links,
+        parts=FormationParts(
+            scripted_leader=leader.vehicle is not None,
+            leader_controller=external
+            if external and external.commands_leader
+            else leader.controller,
+            built_control=control,
+            control=Control(
+                control.groups,
+                control.controllers,
+                control.neighbours,
+                fleet.offsets,
+                build_membership(fleet, on_failure, scenario.controller.law, faults),
+                (aircraft, followers, radio.links),
+                companions,
+            ),
+            companions=companions,
+            radio=radio,
+            outages=outages,
+            altitudes=fleet.altitudes,
+        ),
         air=None if air.steady else air,
         gusts=tuple(gust.name for gust in scenario.air.gusts),
         vehicles=vehicles.vehicles,
-        scripted_leader=leader.vehicle is not None,
         external_processes=(jsbsim,) if isinstance(jsbsim, ArduPlaneVehicles) else (),
         fleet=vehicles.fleet,
         estimators=estimators,
@@ -157,30 +176,15 @@ def build(
         proximity=build_proximity(fleet, scenario.limits),
         envelope=build_envelope_monitor(fleet, scenario.limits, faults),
         fly_on=scenario.limits.on_loss == "continue",
-        leader_controller=external if external and external.commands_leader else leader.controller,
         external_control=external,
-        built_control=control,
-        control=Control(
-            control.groups,
-            control.controllers,
-            control.neighbours,
-            fleet.offsets,
-            build_membership(fleet, on_failure, scenario.controller.law, faults),
-            (aircraft, followers, radio.links),
-            companions,
-        ),
-        companions=companions,
-        radio=radio,
-        outages=outages,
-        altitudes=fleet.altitudes,
         initial_events=(
             *(Event(0.0, "info", "run", text) for text in control.messages),
-            *gust_input_warnings(fleet, vehicles, steady_air=air.steady),
+            *gust_input_warnings(fleet, vehicles.fleet, steady_air=air.steady),
             *still_field_warnings(scenario.air),
-            *temperature_warnings(fleet, warmer),
+            *temperature_warnings(fleet, warmer, height),
             *unusual_warnings(scenario),
             *fault_warnings(fleet, on_failure),
-            *step_warnings(fleet, rates, vehicles),
+            *step_warnings(fleet, rates, vehicles.fleet),
             *limit_warnings(fleet),
             *tune_warnings(fleet),
             *sitl_gyro_warnings(fleet, rates.physics_hz),
@@ -189,7 +193,7 @@ def build(
             *separation_warnings(fleet, scenario.limits),
             *assumption_warnings(scenario, fleet, control, leader, wind),
         ),
-        info=_run_info(
+        info=_formation_info(
             scenario,
             fleet,
             clock,
@@ -197,21 +201,80 @@ def build(
             control,
             wind,
             exact=estimators.exact,
-            integrators={} if vehicles.fleet is None else describe_integrators(),
+            has_models=vehicles.fleet is not None,
         ),
         entries=registered(),
     )
 
 
-def build_clock(scenario: Scenario) -> Clock:
+@registering()
+def build_single(flight: SingleAircraft) -> World:
+    """Build the world of one aircraft that a program commands: no leader, law, slot or radio.
+
+    Raises:
+        ScenarioError, ParamError, AircraftError, TrimError, ValueError: see `build`.
+    """
+    clock = build_clock(flight)
+    check_memory(flight)
+    fleet = resolve_single(flight)
+    duration_s, height = flight.scenario.duration_s, flight.start.altitude_m
+    warmer = temperature_offset(flight.air, fleet.origin.elevation_m)
+    mean_wind = build_mean_wind(flight.air.wind, height_m=height, duration_s=duration_s)
+    starts = build_single_start(fleet, flight, mean_wind)
+    aircraft = _allocate_aircraft(fleet)
+    air = _build_air(flight, fleet, mean_wind, height, clock)
+    if not air.steady:
+        air.bind(aircraft)
+    jsbsim = build_jsbsim_vehicles(fleet, starts, flight.rates, clock, aircraft, warmer=warmer)
+    estimators = _build_estimators(flight)
+    return World(
+        clock=clock,
+        duration_s=duration_s,
+        names=fleet.names,
+        aircraft=aircraft,
+        followers=allocate(FOLLOWER, 0),
+        links=allocate(LINK, 0, 1),
+        parts=None,
+        air=None if air.steady else air,
+        gusts=tuple(gust.name for gust in flight.air.gusts),
+        vehicles=(jsbsim,),
+        external_processes=(),
+        fleet=jsbsim.fleet,
+        estimators=estimators,
+        faults=None,
+        proximity=ProximityMonitor(fleet.names),
+        envelope=build_envelope_monitor(fleet, flight.limits, None),
+        fly_on=False,
+        external_control=build_external_control(fleet, clock, None, starts, jsbsim),
+        initial_events=(
+            *gust_input_warnings(fleet, jsbsim.fleet, steady_air=air.steady),
+            *still_field_warnings(flight.air),
+            *unusual_warnings(flight),
+            *step_warnings(fleet, flight.rates, jsbsim.fleet),
+            *tune_warnings(fleet),
+            *sensor_warnings(fleet, flight.rates.autopilot_hz),
+        ),
+        info=RunInfo(
+            **_run_info(flight, fleet, clock, exact=estimators.exact, has_models=True),
+            scenario_yaml=dump(flight),
+            speed_bounds_mps=(),
+            kappa_mps=(),
+            roll_limit_rad=(),
+            leader_path_ned=np.zeros((0, 3)),
+        ),
+        entries=registered(),
+    )
+
+
+def build_clock(scenario: Scenario | SingleAircraft) -> Clock:
     """Build the clock of a scenario, with random phases of unsynchronised aircraft."""
     rates = scenario.rates.model_dump()
     synchronous = rates.pop("synchronous")
-    names, seed = scenario.aircraft_names, scenario.scenario.seed
+    names, seed = [each.name for each in scenario.aircraft], scenario.scenario.seed
     phases = None
     if not synchronous:
         phases = [float(named_stream(seed, f"phase/{name}").random()) for name in names]
-    times = transmit_times(names, scenario.network)
+    times = transmit_times(names, scenario.network) if isinstance(scenario, Scenario) else {}
     return make_clock(**rates, aircraft=len(names), phases=phases, transmit_times=times)
 
 
@@ -226,9 +289,38 @@ def versions() -> dict[str, str]:
     }
 
 
-def _build_estimators(scenario: Scenario, faults: FaultManager | None) -> StateEstimators:
+def _allocate_aircraft(fleet: Fleet) -> Records:
+    """Return AIRCRAFT (N,) without faults."""
+    aircraft = allocate(AIRCRAFT, len(fleet.names))
+    write_fields(aircraft["faults"], no_faults(len(fleet.names)))
+    return aircraft
+
+
+def _build_air(
+    scenario: Scenario | SingleAircraft,
+    fleet: Fleet,
+    mean_wind: MeanWind,
+    height: float,
+    clock: Clock,
+) -> Atmosphere:
+    return build_air(
+        scenario.air,
+        mean_wind,
+        fleet.names,
+        [each.airframe for each in fleet.aircraft],
+        seed=scenario.scenario.seed,
+        height_m=height,
+        elevation_m=fleet.origin.elevation_m,
+        dt=clock.autopilot / clock.base_rate_hz,
+        sheds=[each.has_model for each in fleet.aircraft],
+    )
+
+
+def _build_estimators(
+    scenario: Scenario | SingleAircraft, faults: FaultManager | None = None
+) -> StateEstimators:
     return StateEstimators(
-        scenario.aircraft_names,
+        [each.name for each in scenario.aircraft],
         [each.sensors for each in scenario.aircraft],
         seed=scenario.scenario.seed,
         rate_hz=scenario.rates.autopilot_hz,
@@ -237,41 +329,55 @@ def _build_estimators(scenario: Scenario, faults: FaultManager | None) -> StateE
 
 
 def _run_info(
-    scenario: Scenario,
+    scenario: Scenario | SingleAircraft,
     fleet: Fleet,
+    clock: Clock,
+    *,
+    exact: bool,
+    has_models: bool,
+) -> dict[str, Any]:
+    """Return the fields of `RunInfo` that every flight has; `exact`: estimates are the truth."""
+    return {
+        "scenario_name": scenario.name,
+        "names": fleet.names,
+        "aircraft": tuple(each.folder.name for each in fleet.aircraft),
+        "wingspan_m": tuple(each.airframe.span for each in fleet.aircraft),
+        "origin": fleet.origin,
+        "base_rate_hz": clock.base_rate_hz,
+        "sample_rate_hz": scenario.rates.log_hz,
+        "duration_s": scenario.scenario.duration_s,
+        "seed": scenario.scenario.seed,
+        "estimated": not exact,
+        "windows": dict(scenario.scenario.windows),
+        "versions": versions(),
+        "integrators": describe_integrators() if has_models else {},
+    }
+
+
+def _formation_info(
+    scenario: Scenario,
+    fleet: FormationPlan,
     clock: Clock,
     leader: LeaderSetup,
     control: BuiltControl,
     wind: Vector,
     *,
     exact: bool,
-    integrators: Mapping[str, str],
+    has_models: bool,
 ) -> RunInfo:
-    """Describe the run for its observers; `exact`: estimates are the truth."""
+    """Describe the run of a formation for its observers; see `_run_info`."""
     stored, code = with_stored_code(scenario)
     agents = [each.agent for each in fleet.followers]
     return RunInfo(
-        scenario_name=scenario.name,
+        **_run_info(scenario, fleet, clock, exact=exact, has_models=has_models),
         scenario_yaml=dump(stored),
         code=code,
-        names=fleet.names,
-        aircraft=tuple(each.folder.name for each in fleet.aircraft),
-        wingspan_m=tuple(each.airframe.span for each in fleet.aircraft),
-        origin=fleet.origin,
-        base_rate_hz=clock.base_rate_hz,
-        sample_rate_hz=scenario.rates.log_hz,
-        duration_s=scenario.scenario.duration_s,
-        seed=scenario.scenario.seed,
         speed_bounds_mps=tuple(each.speed_mps for each in agents),
         bounded_in_ned=wind if scenario.controller.bounded_speed == "airspeed" else STILL,
         kappa_mps=tuple(each.kappa_mps for each in agents),
         roll_limit_rad=tuple(control.config.roll_limit.tolist()),
         barriers=control.barriers,
         barrier_samples=control.barrier_samples,
-        estimated=not exact,
         start_unix_ns=start_unix_ns(scenario.log.start_time) if scenario.log.start_time else 0,
         leader_path_ned=leader.path_ned,
-        windows=dict(scenario.scenario.windows),
-        versions=versions(),
-        integrators=integrators,
     )

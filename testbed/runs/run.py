@@ -44,7 +44,7 @@ from testbed.runs.external_options import (
     make_server,
 )
 from testbed.runs.stop_request import RunStopped, stop_on_signals
-from testbed.scenario import Scenario, load_scenario
+from testbed.scenario import Scenario, SingleAircraft, load_scenario
 from testbed.scenario.arguments import check_calls, check_count, check_overrides, check_path
 from testbed.scenario.validate import shown_value
 from testbed.vehicle.workers import ParallelFleet
@@ -183,7 +183,7 @@ def run(
             metrics.update(
                 finalise(
                     meter.summary(errors),
-                    network=world.radio.summary(),
+                    network=world.formation.radio.summary(),
                     external=external_summary(world, server, pacer),
                     outcome=outcome,
                     wall_s=wall,
@@ -275,7 +275,7 @@ def check_observers(
         check_calls("compiling", compiling)
 
 
-def open_run_directory(scenario: Scenario, world: World, out: Path | None) -> Path:
+def open_run_directory(scenario: Scenario | SingleAircraft, world: World, out: Path | None) -> Path:
     """Create a run directory, with the resolved scenario and the code of its laws.
 
     Args:

@@ -27,10 +27,10 @@ from testbed.logs.run_directory import LOG_NAME, METRICS_NAME
 from testbed.metrics import MetricsObserver
 from testbed.metrics.document import finalise, write_json
 from testbed.metrics.model import Metrics
-from testbed.plan.world import build
+from testbed.plan.world import build, build_single
 from testbed.runs.external_options import external_summary
 from testbed.runs.run import check_observers, find_loaded, open_run_directory
-from testbed.scenario import Scenario, set_seed
+from testbed.scenario import Scenario, SingleAircraft, set_seed
 from testbed.scenario.aircraft import ArduPlane
 from testbed.scenario.arguments import check_argument, check_path
 from testbed.scenario.fields import MAX_DURATION_S, Instant, Section
@@ -73,7 +73,7 @@ class Simulation:
 
     def __init__(
         self,
-        scenario: Scenario | str | os.PathLike[str],
+        scenario: Scenario | SingleAircraft | str | os.PathLike[str],
         overrides: Sequence[str] = (),
         *,
         seed: int | None = None,
@@ -86,7 +86,9 @@ class Simulation:
         self._stages = check_stages(stages)
         self._out = None if out is None else check_path("out", out)
         check_observers(observers, compiling)
-        self.scenario = find_loaded(scenario, overrides)
+        self.scenario: Scenario | SingleAircraft = (
+            scenario if isinstance(scenario, SingleAircraft) else find_loaded(scenario, overrides)
+        )
         for each in self.scenario.aircraft:
             if isinstance(each.autopilot, ArduPlane):
                 raise InputError(
@@ -112,8 +114,10 @@ class Simulation:
         """
         if (self._flown or self._open) and self._out is not None:
             raise InputError(f"{self._out} holds one flight (make another Simulation for the next)")
-        scenario = self.scenario if seed is None else set_seed(self.scenario, seed)
-        world = build(scenario)
+        scenario = self.scenario
+        if seed is not None:
+            scenario = set_seed(scenario, seed)
+        world = build_single(scenario) if isinstance(scenario, SingleAircraft) else build(scenario)
         self._end_observers()
         self.scenario = scenario
         meter, events = MetricsObserver(published=self.scenario.published), _Events()
@@ -225,7 +229,7 @@ class Simulation:
         """The metrics up to now, as in metrics.json; of a flight that goes on, "interrupted"."""
         return finalise(
             self._meter.summary(),
-            network=self._world.radio.summary(),
+            network=self._world.parts.radio.summary() if self._world.parts else None,
             external=external_summary(self._world, None, None),
             outcome=self.outcome or "interrupted",
             wall_s=time.perf_counter() - self._begun_s,
@@ -311,7 +315,7 @@ class _StepArguments(Section):
 class _Events:
     """Collect the events of a flight."""
 
-    zero_copy = True
+    events_only = True
 
     def __init__(self) -> None:
         self.all: list[Event] = []

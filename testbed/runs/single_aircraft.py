@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, TypeVar
@@ -17,31 +15,31 @@ from testbed.core.records import (
     VehicleState,
 )
 from testbed.runs.simulation import Simulation
-from testbed.scenario import ScenarioError, loads
-from testbed.scenario import aircraft as scenario_aircraft
-from testbed.scenario.arguments import check_argument, to_plain
+from testbed.scenario import SingleAircraft, resolve_single_aircraft
+from testbed.scenario.air import Air
+from testbed.scenario.aircraft import AircraftSection, External, Start, Virtual
+from testbed.scenario.arguments import check_argument
 from testbed.scenario.fields import Section
 from testbed.scenario.sections import Header, Rates, Sections
+from testbed.scenario.sensors import Sensors
 from testbed.vehicle.trim import TrimError
 
 _ValuesT = TypeVar("_ValuesT", VehicleState, AirData, ActuatorCommand)
-# Arguments: the section and the key of the files that have their types and bounds, and the keys of
-# the scenario that is made from them.
-_ARGUMENTS: Mapping[str, tuple[type[Section], str, tuple[str, ...]]] = {
-    "aircraft": (scenario_aircraft.AircraftSection, "aircraft", ("leader", "aircraft")),
-    "airspeed_mps": (scenario_aircraft.Virtual, "speed_mps", ("leader", "path", "speed_mps")),
-    "altitude_m": (scenario_aircraft.Start, "altitude_m", ("leader", "start", "altitude_m")),
-    "course_deg": (scenario_aircraft.Start, "course_deg", ("leader", "start", "course_deg")),
-    "air": (Sections, "air", ("air",)),
-    "sensors": (scenario_aircraft.AircraftSection, "sensors", ("fleet", "0", "sensors")),
-    "tune": (scenario_aircraft.AircraftSection, "tune", ("fleet", "0", "tune")),
-    "seed": (Header, "seed", ("scenario", "seed")),
-    "duration_s": (Header, "duration_s", ("scenario", "duration_s")),
-    "physics_hz": (Rates, "physics_hz", ("rates", "physics_hz")),
+# Arguments: the section and the key of the files that have their types and bounds.
+_ARGUMENTS: Mapping[str, tuple[type[Section], str]] = {
+    "aircraft": (AircraftSection, "aircraft"),
+    "airspeed_mps": (Virtual, "speed_mps"),
+    "altitude_m": (Start, "altitude_m"),
+    "course_deg": (Start, "course_deg"),
+    "air": (Sections, "air"),
+    "sensors": (AircraftSection, "sensors"),
+    "tune": (AircraftSection, "tune"),
+    "seed": (Header, "seed"),
+    "duration_s": (Header, "duration_s"),
+    "physics_hz": (Rates, "physics_hz"),
 }
 _AUTOPILOT_HZ = Rates().autopilot_hz
 _NAME = "aircraft"
-_AHEAD_M = 50.0  # of a leader that is a formula: a scenario has one
 
 
 class Aircraft:
@@ -64,7 +62,7 @@ class Aircraft:
         compiling: as of `testbed.run`.
 
     Attributes:
-        simulation: the flight; the aircraft is number 1 in its records.
+        simulation: the flight; the aircraft is number 0 in its records, and it has no followers.
 
     Raises:
         InputError: an argument, which the text names, is wrong, or the aircraft has no level
@@ -99,18 +97,17 @@ class Aircraft:
             "duration_s": duration_s,
             "physics_hz": physics_hz,
         }
-        for name, value in given.items():
-            model, key, _ = _ARGUMENTS[name]
-            check_argument(name, value, model, key)
+        checked: dict[str, Any] = {
+            name: check_argument(name, value, *_ARGUMENTS[name]) for name, value in given.items()
+        }
         if physics_hz % _AUTOPILOT_HZ:
             raise InputError(
                 f"physics_hz: is {physics_hz} (write a multiple of {_AUTOPILOT_HZ}, the rate of "
                 "the autopilot)"
             )
+        flight = resolve_single_aircraft(_flight(**checked))
         with _argument_errors(f"{airspeed_mps:g}", altitude_m):
-            text = json.dumps(_scenario(to_plain("", given)))
-            loaded = loads(text, source="testbed.Aircraft")
-            self.simulation = Simulation(loaded, compiling=compiling)
+            self.simulation = Simulation(flight, compiling=compiling)
         self._sample = self.simulation.state
 
     def step(
@@ -176,56 +173,39 @@ class Aircraft:
 
     def __repr__(self) -> str:
         """Describe the flight in one line."""
-        name = self.simulation.scenario.fleet[0].aircraft
+        name = self.simulation.scenario.aircraft[0].aircraft
         return f"<Aircraft: {name}; {self.time_s:g} s; {self.outcome or 'flying'}>"
 
 
-def _scenario(arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the scenario of one aircraft, as a file has it, from checked arguments."""
-    aircraft, airspeed = arguments["aircraft"], arguments["airspeed_mps"]
-    course = math.radians(arguments["course_deg"])
-    behind = [-_AHEAD_M, 0, 0]
-    return {
-        "scenario": {
-            "schema": 2,
-            "name": _NAME,
-            "duration_s": arguments["duration_s"],
-            "seed": arguments["seed"],
-        },
-        "rates": {"physics_hz": arguments["physics_hz"]},
-        "leader": {
-            "aircraft": aircraft,
-            "start": {
-                "north_m": _AHEAD_M * math.cos(course),
-                "east_m": _AHEAD_M * math.sin(course),
-                "altitude_m": arguments["altitude_m"],
-                "course_deg": arguments["course_deg"],
-            },
-            "path": {"kind": "virtual", "speed_mps": airspeed, "curve": {"kind": "straight"}},
-        },
-        "fleet": [
-            {
-                "name": _NAME,
-                "aircraft": aircraft,
-                "start_m": behind,
-                "commanded_by": "external",
-                "sensors": arguments["sensors"],
-                "tune": arguments["tune"],
-            }
-        ],
-        "formation": {
-            "offsets_m": {_NAME: behind},
-            "leader_gains": {_NAME: 1},
-            "speed_mps": [0.5 * airspeed, 2.0 * airspeed],
-        },
-        "air": arguments["air"],
-        "limits": {"formation_lost_m": None, "min_separation_m": 0},
-    }
+def _flight(
+    *,
+    aircraft: str,
+    airspeed_mps: float,
+    altitude_m: float,
+    course_deg: float,
+    air: Air,
+    sensors: Sensors,
+    tune: str,
+    seed: int,
+    duration_s: float,
+    physics_hz: int,
+) -> SingleAircraft:
+    """Return the flight of checked arguments."""
+    return SingleAircraft(
+        scenario=Header(schema_version=2, name=_NAME, duration_s=duration_s, seed=seed),
+        rates=Rates(physics_hz=physics_hz),
+        only=AircraftSection(
+            name=_NAME, aircraft=aircraft, commanded_by=External(), sensors=sensors, tune=tune
+        ),
+        start=Start(altitude_m=altitude_m, course_deg=course_deg),
+        speed_mps=airspeed_mps,
+        air=air,
+    )
 
 
 @contextmanager
 def _argument_errors(airspeed: str, altitude_m: float) -> Iterator[None]:
-    """Name the argument in errors of the scenario that is made from the arguments.
+    """Name the argument in errors of the flight that is built from the arguments.
 
     Raises:
         InputError: in place of these errors, with the first of them.
@@ -238,13 +218,6 @@ def _argument_errors(airspeed: str, altitude_m: float) -> Iterator[None]:
             f"airspeed_mps: {airspeed} m/s, {altitude_m:g} m above the ground: no level flight: "
             f"{reason}"
         ) from None
-    except ScenarioError as error:
-        first = error.problems[0]
-        for name, (_, _, keys) in _ARGUMENTS.items():
-            if first.path[: len(keys)] == keys:
-                place = ".".join((name, *first.path[len(keys) :]))
-                raise InputError(f"{place}: {first.text}") from None
-        raise InputError(str(first)) from None
     except InputError as error:
         text = str(error)
         if "below the ground" in text:
@@ -253,5 +226,5 @@ def _argument_errors(airspeed: str, altitude_m: float) -> Iterator[None]:
 
 
 def _row(values: _ValuesT) -> _ValuesT:
-    """Copy the aircraft's row of arrays (2, ...)."""
-    return type(values)(*(each[1].copy() for each in values))
+    """Copy the aircraft's row of arrays (1, ...)."""
+    return type(values)(*(each[0].copy() for each in values))

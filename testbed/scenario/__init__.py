@@ -31,6 +31,7 @@ from testbed.scenario.references import (
     list_scenarios,
     list_studies,
     list_tunings,
+    resolve_single_aircraft,
     with_values,
 )
 from testbed.scenario.schema import (
@@ -43,6 +44,7 @@ from testbed.scenario.schema import (
     set_seed,
     unreached_windows,
 )
+from testbed.scenario.single_aircraft import SingleAircraft
 
 __all__ = [
     "SCHEMA_VERSION",
@@ -52,6 +54,7 @@ __all__ = [
     "Scenario",
     "ScenarioError",
     "ScenarioFile",
+    "SingleAircraft",
     "code_references",
     "cut_windows",
     "describe_unreached",
@@ -79,6 +82,7 @@ __all__ = [
     "middle_loop_gains",
     "open_scenario",
     "place_of_key",
+    "resolve_single_aircraft",
     "set_duration",
     "set_seed",
     "unchecked",

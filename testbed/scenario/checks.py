@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import Any
 
+from testbed.scenario.air import Air, Turbulence, Wind
 from testbed.scenario.aircraft import (
     MAX_LEGS,
+    AircraftSection,
     ArduPlane,
     External,
     Follower,
@@ -18,7 +20,7 @@ from testbed.scenario.faults import AnyFault
 from testbed.scenario.fields import SMALLEST, Finding, KeyPath
 from testbed.scenario.network_checks import check_network
 from testbed.scenario.problems import did_you_mean
-from testbed.scenario.sections import Sections
+from testbed.scenario.sections import Rates, Sections
 from testbed.scenario.sensors import SENSOR_NAMES
 
 # name of an aircraft, its position, m, the kind of position, and its path in the scenario
@@ -48,16 +50,18 @@ def cross_check(scenario: Sections) -> list[Finding]:
         *_slots(scenario),
         *_agents(scenario),
         *_law(scenario),
-        *_sensors(scenario),
+        *(
+            each
+            for at, aircraft in _aircraft(scenario)
+            for each in check_sensor_rates(at, aircraft, scenario.rates)
+        ),
         *_fly_by_wire(scenario),
         *_ardupilot(scenario),
         *_external(scenario),
         *_faults(scenario),
         *_limits(scenario),
         *check_network(scenario),
-        *_wind(scenario),
-        *_turbulence(scenario),
-        *_gusts(scenario),
+        *check_air(scenario.air),
         *_windows(scenario),
         *_published(scenario),
         *check_expect(scenario.expect, list(scenario.scenario.windows), followers),
@@ -247,18 +251,17 @@ def _dotted(path: KeyPath) -> str:
     return ".".join(map(str, path))
 
 
-def _sensors(scenario: Sections) -> Iterator[Finding]:
-    max_rate = scenario.rates.autopilot_hz
-    for at, aircraft in _aircraft(scenario):
-        for name in SENSOR_NAMES:
-            sensor = getattr(aircraft.sensors, name)
-            rate = getattr(sensor, "rate_hz", 0)
-            if rate > max_rate:
-                yield (
-                    (*at, "sensors", name, "rate_hz"),
-                    f"the {name} measures at {rate} Hz, above rates.autopilot_hz, {max_rate} Hz, "
-                    f"at which sensors are read (write a rate_hz of at most {max_rate})",
-                )
+def check_sensor_rates(at: KeyPath, aircraft: AircraftSection, rates: Rates) -> Iterator[Finding]:
+    """Find sensors of an aircraft, whose path this is, that measure more often than is read."""
+    max_rate = rates.autopilot_hz
+    for name in SENSOR_NAMES:
+        rate = getattr(getattr(aircraft.sensors, name), "rate_hz", 0)
+        if rate > max_rate:
+            yield (
+                (*at, "sensors", name, "rate_hz"),
+                f"the {name} measures at {rate} Hz, above rates.autopilot_hz, {max_rate} Hz, "
+                f"at which sensors are read (write a rate_hz of at most {max_rate})",
+            )
 
 
 def _fly_by_wire(scenario: Sections) -> Iterator[Finding]:
@@ -486,8 +489,14 @@ def _limits(scenario: Sections) -> Iterator[Finding]:
         )
 
 
-def _wind(scenario: Sections) -> Iterator[Finding]:
-    wind = scenario.air.wind
+def check_air(air: Air) -> Iterator[Finding]:
+    """Find contradictions in the air."""
+    yield from _wind(air.wind)
+    yield from _turbulence(air.turbulence)
+    yield from _gusts(air)
+
+
+def _wind(wind: Wind) -> Iterator[Finding]:
     if wind.file is not None:
         for key, value in (("speed_mps", wind.speed_mps), ("from_deg", wind.from_deg)):
             if value:
@@ -505,8 +514,7 @@ def _wind(scenario: Sections) -> Iterator[Finding]:
         )
 
 
-def _turbulence(scenario: Sections) -> Iterator[Finding]:
-    turbulence = scenario.air.turbulence
+def _turbulence(turbulence: Turbulence) -> Iterator[Finding]:
     at = ("air", "turbulence")
     if turbulence.model == "none":
         for key in ("w20_mps", "probability", "sigma_mps", "length_m"):
@@ -533,9 +541,9 @@ def _turbulence(scenario: Sections) -> Iterator[Finding]:
                 )
 
 
-def _gusts(scenario: Sections) -> Iterator[Finding]:
+def _gusts(air: Air) -> Iterator[Finding]:
     seen: dict[str, int] = {}
-    for index, gust in enumerate(scenario.air.gusts):
+    for index, gust in enumerate(air.gusts):
         first = seen.setdefault(gust.name, index)
         if first != index:
             yield (

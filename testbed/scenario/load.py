@@ -24,6 +24,7 @@ from testbed.scenario.problems import (
 )
 from testbed.scenario.references import resolve_references
 from testbed.scenario.schema import Scenario
+from testbed.scenario.single_aircraft import SingleAircraft
 from testbed.scenario.validate import validate
 from testbed.scenario.yaml_io import (
     Node,
@@ -198,7 +199,7 @@ def load_guidance(aircraft: str | Path) -> Guidance:
     return validate(read(path), Guidance) if path.is_file() else Guidance()
 
 
-def dump(scenario: Scenario) -> str:
+def dump(scenario: Scenario | SingleAircraft) -> str:
     """Return a scenario as YAML with all defaults; it loads again to an equal object."""
     return write(scenario.model_dump(mode="json", by_alias=True))
 

@@ -7,15 +7,20 @@ is that of a file there; no other folder is searched.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from testbed.core.errors import InputError
 from testbed.scenario.aircraft import Follower, Leader
+from testbed.scenario.arguments import with_changes
+from testbed.scenario.checks import check_air, check_sensor_rates
 from testbed.scenario.control import Agent, Formation
 from testbed.scenario.fields import KeyPath
 from testbed.scenario.network_checks import link_entries
 from testbed.scenario.problems import FilePosition, Problem, ScenarioError, did_you_mean
 from testbed.scenario.schema import Scenario
+from testbed.scenario.single_aircraft import SingleAircraft
 from testbed.scenario.yaml_io import Node, walk
 
 _SCENARIOS = Path("scenarios")
@@ -234,6 +239,21 @@ def _not_found(
     return ScenarioError([Problem(FilePosition(text), message)])
 
 
+def aircraft_reference(folder: Path) -> str:
+    """Return the name of an airframe of the library, or the path of another."""
+    return folder.name if folder == library() / "aircraft" / folder.name else str(folder)
+
+
+def tune_reference(aircraft: Path, tune: Path) -> str:
+    """Return the name of a tune in the folder of its airframe, or the path of another."""
+    return tune.stem if tune == aircraft / f"{tune.stem}.param" else str(tune)
+
+
+def data_reference(file: Path) -> str:
+    """Return the name of a data file of the library, or the path of another."""
+    return file.name if file == library() / "scenarios" / "data" / file.name else str(file)
+
+
 _GAINS = "middle_loop.yaml"
 
 
@@ -253,16 +273,14 @@ class _Resolver:
         except ScenarioError as error:
             self.add(error, *loc, "aircraft")
             return
-        own = library() / "aircraft" / home.name
-        self.changes.append(((*loc, "aircraft"), home.name if home == own else str(home)))
+        self.changes.append(((*loc, "aircraft"), aircraft_reference(home)))
         folder = self.folder(*loc, "tune")
         try:
             tune = find_tune(home, aircraft.tune, folder=folder)
         except ScenarioError as error:
             self.add(error, *loc, "tune")
             return
-        name = tune.stem if tune == home / f"{tune.stem}.param" else str(tune)
-        self.changes.append(((*loc, "tune"), name))
+        self.changes.append(((*loc, "tune"), tune_reference(home, tune)))
 
     def recording(self, loc: KeyPath, file: str) -> None:
         """Resolve a data file."""
@@ -271,8 +289,7 @@ class _Resolver:
         except ScenarioError as error:
             self.add(error, *loc)
             return
-        own = library() / "scenarios" / "data" / found.name
-        self.changes.append((loc, found.name if found == own else str(found)))
+        self.changes.append((loc, data_reference(found)))
 
     def gains(self, loc: KeyPath, file: str) -> None:
         """Resolve a file of gains."""
@@ -348,6 +365,40 @@ def resolve_references(
     if resolver.problems:
         raise ScenarioError(resolver.problems)
     return with_values(scenario, resolver.changes)
+
+
+def resolve_single_aircraft(flight: SingleAircraft) -> SingleAircraft:
+    """Check a flight, and return it with every reference as a name or an absolute path.
+
+    Raises:
+        InputError: a file does not exist, or parts contradict each other; the text begins with the
+            argument of `testbed.Aircraft`.
+    """
+    for path, text in (
+        *check_sensor_rates((), flight.only, flight.rates),
+        *check_air(flight.air),
+    ):
+        raise InputError(f"{'.'.join(map(str, path))}: {text}")
+    only, air = flight.only, flight.air
+    with _named("aircraft"):
+        home = find_aircraft(only.aircraft)
+    with _named("tune"):
+        tune = find_tune(home, only.tune)
+    if air.wind.file is not None:
+        with _named("air.wind.file"):
+            file = data_reference(find_data(air.wind.file))
+        air = with_changes(air, wind=with_changes(air.wind, file=file))
+    only = with_changes(only, aircraft=aircraft_reference(home), tune=tune_reference(home, tune))
+    return with_changes(flight, only=only, air=air)
+
+
+@contextmanager
+def _named(argument: str) -> Iterator[None]:
+    """Begin the text of an error with the argument that names a file."""
+    try:
+        yield
+    except ScenarioError as error:
+        raise InputError(f"{argument}: {error.problems[0].text}") from None
 
 
 def code_references(scenario: Scenario) -> Iterator[tuple[KeyPath, str]]:

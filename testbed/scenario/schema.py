@@ -1,7 +1,7 @@
 """The schema of a scenario as a frozen object and as JSON schema."""
 
 from collections.abc import Mapping
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 from pydantic import ValidationError, model_validator
 
@@ -13,6 +13,7 @@ from testbed.scenario.fields import raise_findings
 from testbed.scenario.network import Window
 from testbed.scenario.pattern import Pattern
 from testbed.scenario.sections import Header, Sections
+from testbed.scenario.single_aircraft import SingleAircraft
 
 SCHEMA_VERSION = 2
 
@@ -38,6 +39,9 @@ class Scenario(Sections):
     def _cross_check(self) -> Self:
         raise_findings(cross_check(self))
         return self
+
+
+FlightT = TypeVar("FlightT", bound=Scenario | SingleAircraft)
 
 
 def set_duration(scenario: Scenario, duration_s: float) -> Scenario:
@@ -82,7 +86,7 @@ def set_duration(scenario: Scenario, duration_s: float) -> Scenario:
         raise InputError(f"duration_s: {duration_s:g} s: {reason}") from None
 
 
-def set_seed(scenario: Scenario, seed: int) -> Scenario:
+def set_seed(scenario: FlightT, seed: int) -> FlightT:
     """Return the scenario with another seed.
 
     Raises:

@@ -14,6 +14,7 @@ from typing import Any
 from testbed.scenario.fields import Section, is_number
 from testbed.scenario.load import middle_loop_gains
 from testbed.scenario.schema import Scenario
+from testbed.scenario.single_aircraft import SingleAircraft
 
 # Largest usual magnitude by pattern of the key, in its unit; the first pattern that fits holds.
 # Keys are without names and indices: fleet.sensors.gps.noise_m. Shares, angles and choices have no
@@ -105,13 +106,15 @@ def usual_limit(key: str) -> float | None:
     return next((limit for pattern, limit in USUAL if fnmatchcase(key, pattern)), None)
 
 
-def unusual_numbers(scenario: Scenario) -> Iterator[str]:
+def unusual_numbers(scenario: Scenario | SingleAircraft) -> Iterator[str]:
     """Yield a text for each key with numbers beyond the usual; of many like keys one."""
     found: dict[str, list[tuple[str, float]]] = {}
-    sections = [("", "", scenario)] + [
-        ("controller.gains.", "controller.gains.", middle_loop_gains(scenario, each))
-        for each in dict.fromkeys(f.aircraft for f in scenario.fleet if f.vehicle == "jsbsim")
-    ]
+    sections: list[tuple[str, str, Section]] = [("", "", scenario)]
+    if isinstance(scenario, Scenario):
+        sections += [
+            ("controller.gains.", "controller.gains.", middle_loop_gains(scenario, each))
+            for each in dict.fromkeys(f.aircraft for f in scenario.fleet if f.vehicle == "jsbsim")
+        ]
     for key, shown, section in sections:
         for at, name, value in _numbers(key, shown, section):
             limit = usual_limit(at)

@@ -165,6 +165,8 @@ def ekf_step(
 ) -> None:
     """Step one filter: propagate its errors, and update them with new measurements.
 
+    These are, in this order: velocity and position of the GPS, height, heading, airspeed, sideslip.
+
     Args:
         g: record of SETTINGS.
         f: record of FILTER; written.
@@ -177,7 +179,7 @@ def ekf_step(
         steps_per_s: Hz.
     """
     dt = 1.0 / steps_per_s
-    x, residual = f.states, f.residual
+    x, p, residual = f.states, f.covariance, f.residual
     rotation = rotation_rows(truth.euler)
     acceleration = truth.acceleration_ned
     force = acceleration[0], acceleration[1], acceleration[2] - GRAVITY
@@ -196,74 +198,40 @@ def ekf_step(
     height = is_sampled(g.barometer_hz, step, steps_per_s) and not g.gps_height
     heading = is_sampled(g.compass_hz, step, steps_per_s)
     if fixed or height or heading or airspeed.sampled:
-        propagate_covariance(
-            f.covariance, rotation, force, g.process, dt * (step - f.covariance_step)
-        )
+        propagate_covariance(p, rotation, force, g.process, dt * (step - f.covariance_step))
         f.covariance_step = step
-        update(g, f, past, errors, airspeed, truth, faults, step, steps_per_s, rotation)
+        before, innovation = np.empty(OUTPUTS), np.empty(OUTPUTS)
+        work = np.empty(MAX_SLOPES, np.int64), np.empty(MAX_SLOPES), np.empty(STATES)
+        for k in range(OUTPUTS):
+            before[k] = x[k]
+        if fixed:
+            predict_fix(g, x, past, errors, faults, step, innovation)
+            fuse_together(g, f, VELOCITY_FIX, innovation, step, steps_per_s, work)
+            fuse_together(g, f, POSITION_FIX, innovation, step, steps_per_s, work)
+            if g.gps_height:
+                fuse_together(g, f, HEIGHT, innovation, step, steps_per_s, work)
+        if height:
+            innovation[POSITION + 2] = -(
+                errors.barometer_shared + errors.barometer_own + errors.barometer_noise
+            )
+            fuse_together(g, f, HEIGHT, innovation, step, steps_per_s, work)
+        if heading:
+            fuse_heading(g, x, p, truth.euler, g.heading_bias + errors.heading_noise, work)
+        if airspeed.sampled:
+            fuse_airspeed(g, x, p, truth.velocity_ned, airspeed, work)
+            fuse_sideslip(g, x, p, truth.velocity_ned, rotation, work)
+        for k in range(OUTPUTS):
+            change = x[k] - before[k]
+            residual[k] -= change
+            before[k] = change
+        # the errors of the past are corrected with the states
+        for late in range(len(past)):
+            motion = past[late]
+            for axis in range(3):
+                motion.velocity_error[axis] += before[VELOCITY + axis]
+                motion.position_error[axis] += before[POSITION + axis]
     for k in range(OUTPUTS):
         f.output[k] = x[k] + residual[k]
-
-
-@kernel
-def update(
-    g: Record,
-    f: Record,
-    past: Records,
-    errors: Record,
-    airspeed: Record,
-    truth: Record,
-    faults: Record,
-    step: int,
-    steps_per_s: int,
-    rotation: Values,
-) -> None:
-    """Update one filter with what is measured at this step.
-
-    In this order: velocity and position of the GPS, height, heading, airspeed, sideslip.
-
-    Args:
-        g: record of SETTINGS.
-        f: record of FILTER; written.
-        past: (L,) of PAST_MOTION; its errors are corrected with the states.
-        errors: record of ERRORS.
-        airspeed: record of AIRSPEED_SENSOR.
-        truth: record of MOTION.
-        faults: record of FAULTS.
-        step: number of the step.
-        steps_per_s: Hz.
-        rotation: R_NB, the truth's.
-    """
-    x, p = f.states, f.covariance
-    before, innovation = np.empty(OUTPUTS), np.empty(OUTPUTS)
-    work = np.empty(MAX_SLOPES, np.int64), np.empty(MAX_SLOPES), np.empty(STATES)
-    for k in range(OUTPUTS):
-        before[k] = x[k]
-    if is_sampled(g.gps_hz, step, steps_per_s) and not faults.gps_lost:
-        predict_fix(g, x, past, errors, faults, step, innovation)
-        fuse_together(g, f, VELOCITY_FIX, innovation, step, steps_per_s, work)
-        fuse_together(g, f, POSITION_FIX, innovation, step, steps_per_s, work)
-        if g.gps_height:
-            fuse_together(g, f, HEIGHT, innovation, step, steps_per_s, work)
-    if is_sampled(g.barometer_hz, step, steps_per_s) and not g.gps_height:
-        innovation[POSITION + 2] = -(
-            errors.barometer_shared + errors.barometer_own + errors.barometer_noise
-        )
-        fuse_together(g, f, HEIGHT, innovation, step, steps_per_s, work)
-    if is_sampled(g.compass_hz, step, steps_per_s):
-        fuse_heading(g, x, p, truth.euler, g.heading_bias + errors.heading_noise, work)
-    if airspeed.sampled:
-        fuse_airspeed(g, x, p, truth.velocity_ned, airspeed, work)
-        fuse_sideslip(g, x, p, truth.velocity_ned, rotation, work)
-    for k in range(OUTPUTS):
-        change = x[k] - before[k]
-        f.residual[k] -= change
-        before[k] = change
-    for late in range(len(past)):
-        motion = past[late]
-        for axis in range(3):
-            motion.velocity_error[axis] += before[VELOCITY + axis]
-            motion.position_error[axis] += before[POSITION + axis]
 
 
 @kernel

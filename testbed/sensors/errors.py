@@ -10,18 +10,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
 from testbed.core.compile import entry, jitable, kernel
 from testbed.core.copies import copy_motion
 from testbed.core.frames import GRAVITY, rotation_rows
-from testbed.core.random import named_stream
-from testbed.core.records import Array, Record, Records, allocate
+from testbed.core.random import NormalNumbers, Streams, named_stream
+from testbed.core.records import Array, Indices, Record, Records, allocate
 from testbed.scenario.sensors import Sensors
-
-BLOCK = 256  # steps whose random numbers are drawn at a time; the numbers do not depend on it
 
 # The errors of one aircraft's sensors. Those common to all receivers and all barometers come first,
 # then those of one sensor after the other, in the order of its random stream's numbers.
@@ -55,9 +53,6 @@ OWN_STREAMS = {
     "magnetometer": 1,
 }
 
-# Random generators, and how many numbers each gives per step.
-Streams: TypeAlias = Sequence[tuple[np.random.Generator, int]]
-
 
 class NoiseParameters(NamedTuple):
     """The statistics of K errors of each of N aircraft."""
@@ -86,14 +81,11 @@ class GaussMarkovErrors:
     Attributes:
         coefficients: (2, N, K) k and g of the recursion.
         values: (N, K) the present errors, which `advance_errors` changes.
+        numbers: standard normal, (N, K) per step.
     """
 
     def __init__(
-        self,
-        parameters: NoiseParameters,
-        dt: float,
-        own: Sequence[Streams],
-        shared: Streams = (),
+        self, parameters: NoiseParameters, dt: float, own: Sequence[Streams], shared: Streams = ()
     ) -> None:
         """See the class."""
         sigma, time_constant = parameters
@@ -101,31 +93,8 @@ class GaussMarkovErrors:
         tau = np.where(drifts, time_constant, 1.0)
         keep = np.where(drifts, np.exp(-dt / tau), 0.0)
         self.coefficients = np.array([keep, sigma * np.sqrt(1.0 - keep**2)])
-        self._own, self._shared = own, shared
-        self._blocks: Sequence[Array] = ()
-        self._next = 0
-        self.values = sigma * self.draw()
-
-    def draw(self) -> Array:
-        """Return the next standard normal numbers (N, K)."""
-        if self._next == len(self._blocks):
-            self._blocks, self._next = list(self._draw_block()), 0
-        self._next += 1
-        return self._blocks[self._next - 1]
-
-    def _draw_block(self) -> Array:
-        """Draw the numbers (BLOCK, N, K) of many steps."""
-        shared = sum(width for _, width in self._shared)
-        block = np.empty((BLOCK, *self.coefficients.shape[1:]))
-        if shared:
-            block[:, :, :shared] = _draw_streams(self._shared)[:, np.newaxis]
-        for row, streams in enumerate(self._own):
-            block[:, row, shared:] = _draw_streams(streams)
-        return block
-
-
-def _draw_streams(streams: Streams) -> Array:
-    return np.concatenate([each.standard_normal((BLOCK, width)) for each, width in streams], axis=1)
+        self.numbers = NormalNumbers(own, shared)
+        self.values = sigma * self.numbers.draw()
 
 
 @kernel
@@ -278,27 +247,35 @@ def add_jitter_to_all(
     coefficients: Array,
     values: Array,
     on_truth: bool,
+    block: Array,
+    used: Indices,
     aircraft: Records,
-    numbers: Array,
     advance: bool,
-) -> None:
+) -> bool:
     """Advance the jitter of all aircraft and add it to their estimates.
+
+    True: no random numbers are left, and nothing is written.
 
     Args:
         coefficients: (2, N, 9) of `GaussMarkovErrors`.
         values: (N, 9) of `GaussMarkovErrors`; written.
         on_truth: the estimate is the truth with jitter; else it is there already.
+        block: (B, N, 9) of `NormalNumbers`.
+        used: (1,) of these; written.
         aircraft: (N,) of AIRCRAFT; `estimate` is written.
-        numbers: (N, 9), standard normal.
         advance: False: the errors stay as they are.
     """
     if advance:
-        advance_errors(coefficients, values, numbers)
+        if used[0] == len(block):
+            return True
+        advance_errors(coefficients, values, block[used[0]])
+        used[0] += 1
     for i in range(len(aircraft)):
         estimate = aircraft[i].estimate
         if on_truth:
             copy_motion(aircraft[i].truth, estimate)
         add_jitter(values[i], estimate)
+    return False
 
 
 @kernel

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from testbed.core.compile import bind_entry
+from testbed.core.call_list import Call, Step
 from testbed.core.frames import rotation_ned_body
 from testbed.core.records import AIRCRAFT, Array, Records, allocate
 from testbed.scenario.sensors import Sensors
@@ -31,7 +31,7 @@ from testbed.sensors.errors import (
     make_sensor_errors,
     view_errors,
 )
-from testbed.sensors.sensor_step import estimate_airspeeds, estimate_motions
+from testbed.sensors.sensor_step import estimate_motions
 
 WARM_UP_S = 60.0  # straight flight of the filters before the run
 _NAVIGATION = ("gps", "barometer", "gyro", "accelerometer", "magnetometer")
@@ -62,19 +62,20 @@ class StateEstimators:
     ) -> None:
         """See the class."""
         dt = 1.0 / rate_hz
-        self._count, self._rate_hz, self._step = len(names), rate_hz, 0
-        self._sensors: tuple[GaussMarkovErrors, Callable[..., None]] | None = None
-        self._filters: tuple[Records, Records, Records] | None = None
-        self._jitter: tuple[GaussMarkovErrors, Callable[..., None]] | None = None
+        self._count, self._rate_hz, self._step = len(names), rate_hz, np.zeros(1, dtype=np.intp)
+        # errors, and the entry that adds them with its first arguments
+        self._sensors: tuple[GaussMarkovErrors, Callable[..., bool], tuple[Any, ...]] | None = None
+        self._jitter: tuple[GaussMarkovErrors, Callable[..., bool], tuple[Any, ...]] | None = None
         modelled = any(each.measured for each in sensors) or sensor_faults
         if modelled:
             errors = make_sensor_errors(names, sensors, seed=seed, dt=dt)
-            self._sensors = errors, self._make_sensor_step(names, sensors, errors, seed)
+            args = self._sensor_arguments(names, sensors, errors, seed)
+            self._sensors = errors, estimate_motions, args
         jitter = make_jitter(names, sensors, seed=seed, dt=dt)
         if jitter is not None:
-            args = jitter.coefficients, jitter.values, not modelled
-            like = allocate(AIRCRAFT, 1), jitter.values, True
-            self._jitter = jitter, bind_entry(add_jitter_to_all, *args, like=like)
+            numbers = jitter.numbers
+            args = jitter.coefficients, jitter.values, not modelled, numbers.block, numbers.used
+            self._jitter = jitter, add_jitter_to_all, args
         self.exact = not modelled and jitter is None
 
     def warm_up(self, aircraft: Records) -> None:
@@ -88,7 +89,7 @@ class StateEstimators:
         """
         if self._sensors is None:
             return
-        errors, write_estimates = self._sensors
+        errors, write_estimates, args = self._sensors
         first = -round(WARM_UP_S * self._rate_hz)
         self._start_filters(view_errors(errors), first, aircraft["truth"])
         flown = allocate(AIRCRAFT, self._count)
@@ -97,58 +98,37 @@ class StateEstimators:
         truth["acceleration_ned"] = truth["rates_body"] = 0.0
         for step in range(first, 0):
             truth["position_ned"] = position + step / self._rate_hz * truth["velocity_ned"]
-            write_estimates(flown, errors.draw(), step, True)
+            self._step[0] = step
+            while write_estimates(*args, flown, True):
+                errors.numbers.refill()
+        self._step[0] = 0
 
-    def steps(self, aircraft: Records) -> tuple[Callable[[float], None], Callable[[float], None]]:
-        """Return the steps of `estimate` that advance, and that keep the errors."""
-        return (
-            lambda now: self.estimate(aircraft, advance=True),
-            lambda now: self.estimate(aircraft, advance=False),
-        )
-
-    def estimate(self, aircraft: Records, *, advance: bool) -> None:
-        """Write the next estimates, or the present errors on the present truth.
+    def steps(self, aircraft: Records) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
+        """Return the steps that write the next estimates, and the present errors on the truth.
 
         Args:
             aircraft: (N,) of AIRCRAFT; truth and faults are read, `estimate` is written.
-            advance: once per period, for the next errors; in between they stay as they are.
         """
-        if self._sensors is not None:
-            errors, write_estimates = self._sensors
-            numbers = errors.draw() if advance else errors.values
-            write_estimates(aircraft, numbers, self._step, advance)
-            self._step += advance
-        if self._jitter is not None:
-            errors, add_jitter = self._jitter
-            add_jitter(aircraft, errors.draw() if advance else errors.values, advance)
-        if self.exact:
-            aircraft["estimate"] = aircraft["truth"]
+        parts = [each for each in (self._sensors, self._jitter) if each is not None]
+        keep = tuple(Call(estimate, *args, aircraft, False) for _, estimate, args in parts)
+        return tuple(_advancing(*each, aircraft) for each in parts), keep
 
-    def _make_sensor_step(
-        self,
-        names: Sequence[str],
-        sensors: Sequence[Sensors],
-        errors: GaussMarkovErrors,
-        seed: int,
-    ) -> Callable[..., None]:
-        """Return the call that steps all sensors and filters."""
+    def _sensor_arguments(
+        self, names: Sequence[str], sensors: Sequence[Sensors], errors: GaussMarkovErrors, seed: int
+    ) -> tuple[Any, ...]:
+        """Return the first arguments of `estimate_motions`."""
         biases = make_constant_biases(names, sensors, seed)
         airspeed_sensors = make_airspeed_sensors(sensors, biases, self._rate_hz)
         values = errors.coefficients, errors.values, view_errors(errors)
-        args = *values, airspeed_sensors, self._rate_hz
-        like = allocate(AIRCRAFT, 1), errors.values, 0, True
+        numbers = errors.numbers.block, errors.numbers.used, self._step
         rows = np.flatnonzero([has_filter(each) for each in sensors])
-        if not rows.size:
-            return bind_entry(estimate_airspeeds, *args, like=like)
         settings = make_settings([sensors[row] for row in rows.tolist()], self._rate_hz)
         settings["row"], settings["heading_bias"] = rows, biases.heading[rows]
         self._filters = settings, *make_filters(settings)
-        return bind_entry(estimate_motions, *args, *self._filters, like=like)
+        return *values, airspeed_sensors, self._rate_hz, *self._filters, *numbers
 
     def _start_filters(self, errors: Records, step: int, truth: Records) -> None:
         """Start the filters at a step before the warm-up, in a known wind."""
-        if self._filters is None:
-            return
         settings, filters, past = self._filters
         rows = settings["row"]
         nose = rotation_ned_body(truth["euler"])[:, :, 0]
@@ -157,6 +137,22 @@ class StateEstimators:
         states = aligned_states(settings, errors[rows], wind[rows, :2])
         position = truth["position_ned"] - WARM_UP_S * velocity
         start_filters(filters, past, step, self._rate_hz, states, position[rows], velocity[rows])
+
+
+def _advancing(
+    errors: GaussMarkovErrors,
+    estimate: Callable[..., bool],
+    args: tuple[Any, ...],
+    aircraft: Records,
+) -> Step:
+    """Return the call that writes the next estimates, and its step where numbers are missing."""
+    call = Call(estimate, *args, aircraft, True)
+
+    def draw_and_estimate(now: float) -> None:
+        errors.numbers.refill()
+        call(now)
+
+    return call, draw_and_estimate
 
 
 def has_filter(sensors: Sensors) -> bool:

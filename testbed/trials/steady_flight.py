@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from testbed.core.call_list import run_steps
 from testbed.core.errors import InputError
 from testbed.core.frames import GRAVITY, course
 from testbed.core.records import Array, BoolArray, join_names
@@ -234,8 +235,7 @@ class SteadyFlight:
             if due.autopilot:
                 disturb(now - first)
                 for vehicles in world.vehicles:
-                    for step in (*vehicles.autopilot_steps, *vehicles.output_steps):
-                        step(now)
+                    run_steps((*vehicles.autopilot_steps, *vehicles.output_steps), now)
             if due.guidance:
                 rows.append(self._look())
             for vehicles in world.vehicles:
@@ -246,9 +246,8 @@ class SteadyFlight:
 
     def _look(self) -> Array:
         world = self._world
-        write_formation_state(
-            world.aircraft, world.followers, world.control.offsets, world.altitudes
-        )
+        slots = world.formation.control.offsets, world.formation.altitudes
+        write_formation_state(world.aircraft, world.followers, *slots)
         own, followers = world.aircraft[1:], world.followers
         euler = own["truth"]["euler"][:, :2]
         commanded = np.stack((own["command"]["roll"], followers["saturations"]))
@@ -260,7 +259,8 @@ def _roll_limits_deg(world: World) -> Array:
     [autopilots] = [
         each.autopilots.gains for each in world.vehicles if isinstance(each, JsbsimVehicles)
     ]
-    limits: Array = np.minimum(world.built_control.config.roll_limit, autopilots["roll_limit"])
+    followers = world.formation.built_control.config
+    limits: Array = np.minimum(followers.roll_limit, autopilots["roll_limit"])
     return np.degrees(limits)
 
 

@@ -14,7 +14,7 @@ the path, so that an ideal vehicle can be drawn and can lead.
 
 from __future__ import annotations
 
-from math import atan, atan2, cos, exp, hypot, sin, sqrt
+from math import atan, atan2, cos, exp, hypot, isfinite, sin, sqrt
 
 import numpy as np
 
@@ -229,8 +229,12 @@ def stop_unicycles(unicycles: Records, first: Records, rows: BoolArray) -> None:
         unicycles[row]["stopped"] = True
 
 
-def are_finite(unicycles: Records) -> BoolArray:
-    """Return which unicycles (n,) have finite positions and velocities."""
-    finite: BoolArray = np.isfinite(unicycles["position"]).all(axis=1)
-    finite &= np.isfinite(unicycles["speed"]) & np.isfinite(unicycles["rotation"]).all(axis=(1, 2))
-    return finite
+@kernel
+def is_finite(v: Record) -> bool:
+    """Return whether a unicycle has a finite position and velocity."""
+    total = v.speed
+    for a in range(3):
+        total += v.position[a]
+        for b in range(3):
+            total += v.rotation[a, b]
+    return isfinite(total)

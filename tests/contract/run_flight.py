@@ -87,7 +87,7 @@ def fly_with_recorder(scenario):
         The samples, and for each control step its time, own estimates and inbox.
     """
     world, collector = build(scenario), Collector()
-    (group,) = world.control.groups
+    (group,) = world.formation.control.groups
     received = group.law.received
     received.clear()  # inputs of the check of the law before the flight
     assert fly(world, [collector], lambda now, due: False) == "completed"

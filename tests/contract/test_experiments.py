@@ -188,7 +188,7 @@ def test_mixed_fleet_has_own_speed_models():
     assert world.info.aircraft == ("rascal110", "skywalker_x8", "skywalker_x8", "rascal110")
     poles = {
         name: pole
-        for group in world.control.groups
+        for group in world.formation.control.groups
         for name, pole in zip(group.config.names, group.config.speed_pole.tolist(), strict=True)
     }
     assert poles == {"uav1": 0.4, "uav2": 0.4, "uav3": 0.64}

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from run_flight import Collector, short
 
-from testbed.commands.external_control import ExternalControl
 from testbed.core.geodetic import geodetic_from_ned
 from testbed.core.records import FbwaCommand, NedOrigin
+from testbed.flight.external_control import ExternalControl
 from testbed.flight.loop import fly
 from testbed.mavlink.vehicle_control import FlightMode, MissionItem, Rejection
 from testbed.metrics.facts import describe_commands

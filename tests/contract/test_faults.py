@@ -289,9 +289,9 @@ def neighbours_after_failure(*changes):
         world.links[name] = world.aircraft["truth"][name]
     world.links["position_ned"][:, UAV1, 2] += 50.0
     world.links["measured_s"] = 4.0
-    before = world.built_control.neighbours.copy()
-    assert world.control.update_membership(0, 4.0)
-    return before, world.built_control.neighbours
+    before = world.formation.built_control.neighbours.copy()
+    assert world.formation.control.update_membership(0, 4.0)
+    return before, world.formation.built_control.neighbours
 
 
 def no_air() -> AirData:

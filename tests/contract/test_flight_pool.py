@@ -120,7 +120,7 @@ class EndlessTasks:
         return Future()
 
 
-def test_pool_stops_by_a_signal_that_is_handled_later_than_its_wait():
+def test_pool_stops_by_a_signal_handled_after_its_wait():
     """With `queue.SimpleQueue` in place of `queue.Queue` this waits until the alarm."""
 
     def handle(number, frame):

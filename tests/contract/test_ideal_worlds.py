@@ -90,6 +90,6 @@ def test_altitude_hold_neighbour_has_no_vertical_gain():
 def leader_and_uav1_gains(name, *overrides):
     """Return the gains (2, 3) that uav2 has for the leader and for uav1."""
     world = build(load_scenario(name, overrides))
-    return world.built_control.neighbours["gain"][
-        world.built_control.config.names.index("uav2"), :2
+    return world.formation.built_control.neighbours["gain"][
+        world.formation.built_control.config.names.index("uav2"), :2
     ]

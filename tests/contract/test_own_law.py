@@ -198,8 +198,8 @@ def test_law_of_an_installed_package(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     install_editable(tmp_path)
     world = build(load_scenario("simulation-3", ["controller.law=a_package_of_laws:Straight"]))
-    assert type(world.control.groups[0].law).__name__ == "Straight"
-    assert not world.built_control.builtin
+    assert type(world.formation.control.groups[0].law).__name__ == "Straight"
+    assert not world.formation.built_control.builtin
     del sys.modules["a_package_of_laws"]
 
 
@@ -214,7 +214,7 @@ def test_law_files_of_one_name_in_two_folders(tmp_path):
     assert all(flown.outcome == "completed" for flown in rolls)
     assert rolls[0].metrics["leader_bank_deg"] == rolls[1].metrics["leader_bank_deg"]
     names = (tmp_path / name / "mine.yaml" for name in ("one", "two"))
-    one, two = (build(load_scenario(path)).control.groups[0].law for path in names)
+    one, two = (build(load_scenario(path)).formation.control.groups[0].law for path in names)
     assert type(one) is not type(two)
 
 
@@ -382,7 +382,7 @@ def test_contract_holds_for_every_scenario(name):
 def test_law_with_unsynchronised_aircraft():
     page = load_scenario("own-law-integral", ["rates.synchronous=false"])
     world = build(page)
-    assert len(world.control.groups) > 1
+    assert len(world.formation.control.groups) > 1
     assert testbed.run(set_duration(page, 5.0), write=False).outcome == "completed"
 
 
@@ -432,7 +432,7 @@ def encounter(positions, now=10.0):
 
 
 def repulsion():
-    (group,) = build(load_scenario("own-law-repulsion")).control.groups
+    (group,) = build(load_scenario("own-law-repulsion")).formation.control.groups
     return group.law
 
 

@@ -161,7 +161,7 @@ def test_without_messages_followers_fly_level_at_trim():
     assert commanded.course_desired == pytest.approx(np.full(3, np.pi / 2.0), abs=1e-9)
     assert commanded.course == pytest.approx(commanded.course_desired, abs=0.01)
     assert (commanded.flight_path_angle_desired == 0.0).all()
-    trim_airspeed = build(short(late)).built_control.config.trim_airspeed
+    trim_airspeed = build(short(late)).formation.built_control.config.trim_airspeed
     assert commanded.airspeed_command == pytest.approx(trim_airspeed, rel=1e-12)
     assert last.truth.airspeed[1:] == pytest.approx(trim_airspeed, abs=0.1)
     # a degree or two of bank, with which they steer the last third of a degree of course away

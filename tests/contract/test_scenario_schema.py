@@ -253,11 +253,11 @@ def test_full_fixture_can_be_built():
     fuel += ["fleet.uav1.faults.5={kind: engine-out, at_s: 16}"]
     world = build(load_scenario(FOLDER / "everything.yaml", fuel))
     assert world.names == ("lead", "uav1", "uav2")
-    written = [(each.source, each.begin_s, each.end_s) for each in world.outages.windows]
+    written = [(each.source, each.begin_s, each.end_s) for each in world.formation.outages.windows]
     assert written[:3] == [("lead", 5.0, 6.0), ("lead", 8.0, 12.5), ("run", 16.0, 18.0)]
     assert sorted(written[3:]) == [("run", 3.0, 3.5), ("run", 9.0, 10.0), ("run", 15.0, 15.5)]
-    assert np.array_equal(world.altitudes, [np.nan, 115.0], equal_nan=True)
-    assert sum(len(group.rows) for group in world.control.groups) == 2
+    assert np.array_equal(world.formation.altitudes, [np.nan, 115.0], equal_nan=True)
+    assert sum(len(group.rows) for group in world.formation.control.groups) == 2
 
 
 @pytest.mark.parametrize("name", EVERY_SCENARIO)

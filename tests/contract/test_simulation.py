@@ -327,4 +327,4 @@ def test_aircraft_error_names_the_argument(arguments, message):
 
 def test_sample_repr_is_one_short_line():
     aircraft = testbed.Aircraft("skywalker_x8", airspeed_mps=18)
-    assert repr(aircraft.simulation.state) == "<Sample: 0 s; 2 aircraft, 0 lost>"
+    assert repr(aircraft.simulation.state) == "<Sample: 0 s; 1 aircraft, 0 lost>"

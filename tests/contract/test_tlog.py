@@ -2,6 +2,7 @@
 
 import random
 import struct
+from contextlib import closing
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -22,7 +23,7 @@ def frames(count, codec=None):
 
 
 def written(path, packed):
-    with TlogWriter(path) as log:
+    with closing(TlogWriter(path)) as log:
         for k, frame in enumerate(packed):
             log.write(START + 40_000 * k, frame)
     return path

@@ -14,6 +14,7 @@ from testbed.atmosphere.airframe_wind import LOCAL_WIND
 from testbed.atmosphere.dryden import DrydenTurbulence
 from testbed.atmosphere.mil_f_8785c import HIGH, INTENSITIES, LOW, Scales
 from testbed.atmosphere.spectra import psd
+from testbed.core.call_list import run_steps
 from testbed.core.records import AIRCRAFT, allocate
 
 SAMPLES = int(os.environ.get("TESTBED_AIR_SAMPLES", "16"))  # aircraft per case
@@ -66,11 +67,11 @@ def simulate(turbulence, height, airspeed, steps):
     aircraft = allocate(AIRCRAFT, len(height))
     motion, wind = aircraft["truth"], aircraft["wind"]
     motion["position_ned"][:, 2], motion["velocity_ned"][:, 0] = -height, airspeed
-    turbulence.bind(aircraft, allocate(LOCAL_WIND, len(height)))
+    step = turbulence.bind(aircraft, allocate(LOCAL_WIND, len(height)))
     out = np.empty((steps, len(height), 6))
     for each in out:
         wind["wind_ned"] = wind["wind_gradient_rates"] = 0.0
-        turbulence.step(0.0)
+        run_steps([step], 0.0)
         each[:, :3], each[:, 3:] = wind["wind_ned"], wind["wind_gradient_rates"]
     return out
 

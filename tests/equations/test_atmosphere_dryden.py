@@ -25,10 +25,10 @@ from reference.frames import rotation_ned_body
 from scipy.linalg import expm, solve_continuous_lyapunov
 from scipy.stats import chi2
 
-from testbed.atmosphere import dryden
 from testbed.atmosphere.dryden import DrydenTurbulence
 from testbed.atmosphere.mil_f_8785c import HIGH, INTENSITIES, LOW, Scales
 from testbed.atmosphere.spectra import psd
+from testbed.core import random
 from testbed.core.errors import InputError
 
 MODERATE = INTENSITIES["moderate"]
@@ -337,5 +337,5 @@ def test_psd_integrates_to_the_variances():
 
 def test_random_numbers_are_independent_of_the_block(monkeypatch):
     expected = fly(NOMINAL, 40, 2)
-    monkeypatch.setattr(dryden, "BLOCK", 7)
+    monkeypatch.setattr(random, "BLOCK", 7)
     np.testing.assert_array_equal(fly(NOMINAL, 40, 2), expected)

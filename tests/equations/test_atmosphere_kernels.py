@@ -130,7 +130,8 @@ def test_dryden_turbulence_of_a_step(spectrum):
 
     scales = np.stack(MIXTURES[spectrum]), sigma, length, spans, dt
     filters = first_order, third_order, states
-    add_dryden_turbulence(*scales, *filters, local, aircraft, numbers, True)
+    used, hold = np.zeros(1, dtype=np.intp), np.array([1, True])
+    add_dryden_turbulence(*scales, *filters, local, aircraft, numbers[None], used, hold)
     assert states == pytest.approx(np.hstack([first, third.reshape(n, -1)]), abs=1e-12)
     assert np.array(wind["wind_ned"]) == pytest.approx(expected, abs=1e-12)
     found = np.array(wind["wind_gradient_rates"])

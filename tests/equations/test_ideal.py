@@ -14,7 +14,7 @@ from testbed.core.errors import InputError
 from testbed.core.frames import GRAVITY, body_rates, euler_rates, flight_path_angle, wrap_pi
 from testbed.core.records import AIRCRAFT, FOLLOWER, VehicleState, allocate, fields_of
 from testbed.flight.vehicles import UnicycleVehicles
-from testbed.vehicle.unicycle import are_finite, make_unicycles, stop_unicycles
+from testbed.vehicle.unicycle import is_finite, make_unicycles, stop_unicycles
 
 RATE = 200
 DT = 1.0 / RATE
@@ -316,9 +316,9 @@ def test_stopped_unicycles_stay_stopped():
     records["position"][1, 2] = np.inf
     records["speed"][2] = np.nan
     records["rotation"][3, 1, 1] = np.nan
-    assert are_finite(records).tolist() == [True, False, False, False]
+    assert [is_finite(each) for each in records] == [True, False, False, False]
     stop_unicycles(records, first, np.array([False, True, True, True]))
-    assert are_finite(records).all()
+    assert all(is_finite(each) for each in records)
     assert records["stopped"].tolist() == [False, True, True, True]
     records["position"][1] = 7.0
     stop_unicycles(records, first, np.ones(4, dtype=bool))

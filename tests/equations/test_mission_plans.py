@@ -290,7 +290,7 @@ MISSIONS = [name for name in list_scenarios() if load_scenario(name).leader.path
 def test_scenario_mission_as_items_gives_same_plan(name):
     assert name in MISSIONS
     suite = load_scenario(name)
-    pilot = build(suite).leader_controller
+    pilot = build(suite).formation.leader_controller
     assert isinstance(pilot, MissionController)
     plan_of_page, mission = pilot.plan, pilot.plan.mission
     origin = NedOrigin(**suite.scenario.origin.model_dump())

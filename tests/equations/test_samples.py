@@ -5,7 +5,7 @@ import pytest
 
 from testbed.core.records import AIRCRAFT, FOLLOWER, LINK, FaultState, VehicleState, allocate
 from testbed.core.samples import SampleBuffer, copy_sample, make_sample
-from testbed.flight.loop import Observers
+from testbed.flight.observers import Observers
 
 N = 3
 

@@ -92,7 +92,7 @@ class Errors:
     def advance(self):
         """Records (N,) of ERRORS, which the next step changes."""
         errors = self._errors
-        advance_errors(errors.coefficients, errors.values, errors.draw())
+        advance_errors(errors.coefficients, errors.values, errors.numbers.draw())
         return view_errors(errors)
 
 

@@ -16,9 +16,9 @@ from sensors_samples import (
     suite,
 )
 
+from testbed.core import random
 from testbed.core.frames import GRAVITY
 from testbed.core.records import VehicleState
-from testbed.sensors import errors as sensor_errors
 from testbed.sensors.airspeed import make_airspeed_sensors
 from testbed.sensors.errors import (
     ERROR_COUNT,
@@ -109,7 +109,7 @@ def errors_over(steps, suites, *, aircraft=None, dt=DT, seed=SEED):
     errors = make_sensor_errors(aircraft, suites, seed=seed, dt=dt)
     seen = [errors.values.copy()]
     for _ in range(steps - 1):
-        advance_errors(errors.coefficients, errors.values, errors.draw())
+        advance_errors(errors.coefficients, errors.values, errors.numbers.draw())
         seen.append(errors.values.copy())
     return np.stack(seen)
 
@@ -272,7 +272,7 @@ def test_constant_biases_depend_on_their_sensor_alone():
 
 def test_block_size_does_not_change_errors(monkeypatch):
     ours = errors_over(600, [SUITE] * 2)
-    monkeypatch.setattr(sensor_errors, "BLOCK", 7)
+    monkeypatch.setattr(random, "BLOCK", 7)
     assert np.array_equal(errors_over(600, [SUITE] * 2), ours)
 
 
@@ -360,7 +360,7 @@ def read(suites, truths, failing=None, seed=SEED):
     sensors, out = make_airspeed_sensors(suites, biases, RATE_HZ), []
     for step, truth in enumerate(truths):
         faults = no_faults(n) if failing is None else failing(step)
-        advance_errors(errors.coefficients, errors.values, errors.draw())
+        advance_errors(errors.coefficients, errors.values, errors.numbers.draw())
         noise = view_errors(errors)["pressure_noise"].copy()
         out.append(kernels.airspeeds(sensors, truth, faults, noise, step, RATE_HZ))
     return np.array(out)

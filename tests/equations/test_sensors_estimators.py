@@ -5,16 +5,9 @@ import pytest
 from reference import adapters_sensors as kernels
 from scipy.spatial.transform import Rotation
 from scipy.stats import f as fisher
-from sensors_samples import (
-    SEED,
-    SPEED,
-    assert_chance,
-    make_flight,
-    no_faults,
-    suite,
-)
+from sensors_samples import SEED, SPEED, assert_chance, make_flight, no_faults, suite
 
-from testbed.core.compile import prepare, registered, registering
+from testbed.core.compile import registered, registering
 from testbed.core.frames import GRAVITY, wrap_pi
 from testbed.core.records import VehicleState, allocate, write_fields
 from testbed.sensors import ekf, estimators, sensor_step
@@ -48,10 +41,21 @@ def make(suites, *, aircraft=None, flight=FLIGHT, seed=SEED, **keys):
     return each
 
 
+def write_estimates(each, aircraft, *, advance=True):
+    """Write the next estimates, or the present errors on the truth."""
+    steps = each.steps(aircraft)
+    for step in steps[0] if advance else steps[1]:
+        call, then = step if isinstance(step, tuple) else (step, None)
+        if call(0.0):
+            then(0.0)
+    if each.exact:
+        aircraft["estimate"] = aircraft["truth"]
+
+
 def estimate(each, truth, *, advance=True, faults=None):
     """The next estimate of aircraft with this truth, or the present errors on it."""
     aircraft = kernels.aircraft_of(truth, faults)
-    each.estimate(aircraft, advance=advance)
+    write_estimates(each, aircraft, advance=advance)
     return kernels.estimate_of(aircraft)
 
 
@@ -63,7 +67,7 @@ def fly(each, n, steps=None, flight=FLIGHT, failing=None):
         write_fields(aircraft["truth"], flight.at(k, n))
         if failing is not None:
             write_fields(aircraft["faults"], failing(k))
-        each.estimate(aircraft, advance=True)
+        write_estimates(each, aircraft)
         seen.append(kernels.estimate_of(aircraft))
     return seen
 
@@ -106,24 +110,24 @@ def test_with_a_sensor_estimates_are_not_exact(sensors, short_warm_up):
     [
         ([TRUTH, TRUTH], []),
         ([TRUTH, suite("gps-ins")], [add_jitter_to_all]),
-        ([TRUTH, PITOT], [sensor_step.estimate_airspeeds]),
+        ([TRUTH, PITOT], [sensor_step.estimate_motions]),
         ([PITOT, PIXHAWK], [sensor_step.estimate_motions]),
         (
             [suite("gps-ins"), PITOT],
-            [sensor_step.estimate_airspeeds, add_jitter_to_all],
+            [sensor_step.estimate_motions, add_jitter_to_all],
         ),
     ],
 )
-def test_prepare_compiles_the_needed_entries(suites, entries, short_warm_up):
+def test_steps_call_the_needed_entries(suites, entries, short_warm_up):
+    each, aircraft = make(suites), kernels.aircraft_of(FLIGHT.at(0, 2))
     with registering():
-        each = StateEstimators(names(2), suites, seed=SEED, rate_hz=HZ)
-        calls = registered()
-    assert [entry for entry, _ in calls] == entries
-    prepare(calls)
-    compiled = [len(entry.signatures) for entry in entries]
-    each.warm_up(kernels.aircraft_of(FLIGHT.at(0, 2)))
-    fly(each, 2, 3)
-    assert [len(entry.signatures) for entry in entries] == compiled
+        each.steps(aircraft)
+        found = [entry.function for entry, _ in registered()]
+    # those that advance, and those that keep the errors
+    known = sensor_step.estimate_motions, add_jitter_to_all
+    assert sorted((each for each in found if each in known), key=known.index) == [
+        each for each in entries for _ in range(2)
+    ]
 
 
 def test_an_airspeed_sensor_changes_the_airspeed_only():
@@ -158,7 +162,7 @@ def test_exact_sensors_behind_a_filter_give_the_truth():
 def test_estimators_leave_the_truth_unchanged(short_warm_up):
     aircraft = kernels.aircraft_of(FLIGHT.at(5, 2))
     before = aircraft["truth"].copy()
-    make([PIXHAWK, suite("gps-ins")]).estimate(aircraft, advance=True)
+    write_estimates(make([PIXHAWK, suite("gps-ins")]), aircraft)
     assert aircraft["truth"].tobytes() == before.tobytes()
 
 

@@ -5,10 +5,10 @@ import pytest
 from reference import adapters_sensors as kernels
 from sensors_samples import suite
 
+from testbed.core import random
 from testbed.core.frames import GRAVITY
 from testbed.core.random import named_stream
 from testbed.core.records import VehicleState
-from testbed.sensors import errors as sensor_errors
 from testbed.sensors.errors import add_jitter_to_all, make_jitter
 
 DT = 0.02
@@ -39,8 +39,10 @@ class Jitter:
     def on(self, truth, *, advance=True):
         """The estimate of aircraft with this truth."""
         errors, aircraft = self.errors, kernels.aircraft_of(truth)
-        numbers = errors.draw() if advance else errors.values
-        add_jitter_to_all(errors.coefficients, errors.values, True, aircraft, numbers, advance)
+        numbers = errors.numbers.block, errors.numbers.used
+        values = errors.coefficients, errors.values, True, *numbers
+        while add_jitter_to_all(*values, aircraft, advance):
+            errors.numbers.refill()
         return kernels.estimate_of(aircraft)
 
 
@@ -124,7 +126,7 @@ def test_jitter_depends_on_the_seed_alone():
 
 def test_block_size_does_not_change_jitter(monkeypatch):
     ours = errors_over(600, jitters(names(2)), 2)
-    monkeypatch.setattr(sensor_errors, "BLOCK", 7)
+    monkeypatch.setattr(random, "BLOCK", 7)
     assert np.array_equal(errors_over(600, jitters(names(2)), 2), ours)
 
 

@@ -1,31 +1,76 @@
-"""Commands from external programs to the aircraft of a run, and the building of their sessions."""
+"""Commands from external programs to the aircraft of a run."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Protocol
 
 import numpy as np
 
-from testbed.commands.autopilot_session import AutopilotSession
-from testbed.core.records import BoolArray, Event, Records, VehicleState
+from testbed.core.records import BoolArray, Event, FbwaCommand, Records, VehicleState
 from testbed.flight.vehicles import LeaderInput, Steps
 from testbed.mavlink.vehicle_control import VehicleControl
+
+
+class CommandSession(Protocol):
+    """Commands of an external program to one aircraft.
+
+    Attributes:
+        name: of the aircraft.
+        lost: it crashed or broke.
+        frozen: its autopilot is frozen.
+        lockstep: the run waits for its commands.
+    """
+
+    name: str
+    lost: bool
+    frozen: bool
+    lockstep: bool
+
+    @property
+    def command_counts(self) -> Mapping[str, int]:
+        """Executed requests by kind."""
+
+    @property
+    def waiting(self) -> bool:
+        """Whether lockstep waits for a command."""
+
+    @property
+    def timeout_s(self) -> float:
+        """How long lockstep waits for a command, s of wall-clock time."""
+
+    @property
+    def command(self) -> FbwaCommand[float] | None:
+        """The current command; None: the scenario's own controller commands this follower."""
+
+    def guide(self, now: float, estimate: VehicleState) -> None:
+        """Step the guidance at a time, s, from the estimates of N aircraft."""
+
+    def expect_command(self, now: float) -> None:
+        """Wait, in lockstep, for a command in reply to the sample of this time, s."""
+
+    def pop_events(self) -> list[Event]:
+        """Return the events since the last call."""
 
 
 class ExternalControl:
     """Apply external commands to the aircraft; also the controller of a commandable leader.
 
-    Attributes:
+    Args:
         vehicles: of N aircraft, leader first.
+        sessions: of those that take commands, with their rows.
+
+    Attributes:
+        vehicles: the same.
+        input: see `LeaderController`.
     """
 
-    def __init__(self, vehicles: Sequence[VehicleControl]) -> None:
+    def __init__(
+        self, vehicles: Sequence[VehicleControl], sessions: Sequence[tuple[int, CommandSession]]
+    ) -> None:
         """Start with every aircraft under the scenario's own control."""
-        self.vehicles = tuple(vehicles)
-        self._sessions = [
-            (row, each) for row, each in enumerate(vehicles) if isinstance(each, AutopilotSession)
-        ]
+        self.vehicles, self._sessions = tuple(vehicles), sessions
         self._lockstep = [session for _, session in self._sessions if session.lockstep]
         self._events: list[Event] = []
         self.input: LeaderInput = np.zeros(1), np.zeros(3)
@@ -75,9 +120,10 @@ class ExternalControl:
 
     def override_commands(self, aircraft: Records) -> None:
         """Write `command` of the aircraft that their sessions control."""
+        commands = aircraft["command"]
         for row, session in self._sessions:
-            if session.command is not None:
-                aircraft["command"][row] = session.command
+            if (command := session.command) is not None:
+                commands[row] = command
 
     def mask_diagnostics(self, followers: Records) -> Records:
         """Clear the limiter flags and saturations of followers that the law does not control.
