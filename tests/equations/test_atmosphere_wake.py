@@ -382,7 +382,7 @@ def test_wake_is_continuous_as_points_are_stored():
         assert roll == pytest.approx(first[1], abs=1e-12)
 
 
-def test_wake_is_carried_by_the_wind_of_aircraft_that_shed():
+def test_wake_is_carried_by_the_wind():
     """Flights through the air are the same in any wind, of which the shedders' mean counts."""
     mean, apart = np.array([4.0, -3.0, 0.5]), np.array([1.0, 2.0, -0.3])
     ambient = np.array([mean + apart, mean - apart, mean + 5.0])

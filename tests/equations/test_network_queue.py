@@ -407,7 +407,7 @@ def test_events_of_a_packet_are_independent():
 
 
 @pytest.mark.parametrize("arithmetic", ["exact", "netem"])
-def test_trace_decides_losses_and_stops_no_later_packet(arithmetic):
+def test_trace_alone_decides_losses(arithmetic):
     """Duplicates and queues after a packet that the trace loses; no loss but the trace's."""
     rate = {"bit_per_s": per_second(100), "queue_packets": 3}
     channel = make(duplicate=1.0, loss=0.5, rate=rate, arithmetic=arithmetic)

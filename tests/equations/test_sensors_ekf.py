@@ -473,7 +473,7 @@ def test_a_lasting_velocity_error_causes_a_reset():
     assert result[10 * HZ, 4] == pytest.approx(40.0, abs=1e-9)
 
 
-def test_a_reset_forgets_what_was_known_of_the_position():
+def test_a_reset_forgets_what_was_known():
     """Its covariance is that of a fix, and it is correlated with nothing."""
     filters = Filters([suite("pixhawk")], STRAIGHT)
     filters.run(0, 30 * HZ)
