@@ -75,7 +75,7 @@ check-all: test release
 		tests/equations/test_atmosphere_von_karman.py tests/equations/test_atmosphere_field.py
 	@TESTBED_PACKETS=1000000 $(BIN)/pytest -q -n $(JOBS) tests/equations/test_network_loss.py \
 		tests/equations/test_network_delay.py tests/equations/test_network_queue.py \
-		tests/equations/test_network_keys.py tests/equations/test_network_kernels.py
+		tests/equations/test_network_keys.py
 	@TESTBED_PACKETS=10000 $(BIN)/pytest -q -n $(JOBS) tests/equations/test_network_statistics.py
 	@TESTBED_FRAMES=600000 $(BIN)/pytest -q -n $(JOBS) tests/contract/test_mavlink_codec_noise.py \
 		tests/contract/test_mavlink_vehicle_noise.py tests/contract/test_dataflash.py \

@@ -3,18 +3,17 @@
 from dataclasses import fields, is_dataclass, replace
 
 import numpy as np
-import pytest
-from reference import adapters
 from reference import formation_barrier as barriers
 from reference import formation_control_function as functions_of
-from reference.formation_hbh23 import Hbh23Law, hbh23_step
+from reference.adapters import hbh23_step as step  # noqa: F401 - for the tests
+from reference.adapters import middle_step as middle  # noqa: F401
+from reference.formation_hbh23 import Hbh23Law
 from reference.formation_laws import SpeedSet
 from reference.formation_leader_filter import Memory
 from reference.formation_middle_loop import (
     MiddleLoop,
     MiddleLoopGains,
     MiddleLoopMemory,
-    middle_step,
 )
 
 from testbed.core.records import Inbox, UnicycleCommand, VehicleState
@@ -26,12 +25,6 @@ LOW, HIGH, KAPPA = 16.0, 30.0, 3.6
 NOW, DT = 100.0, 0.04
 PAPERS_MU = control_function.example_1(50.0, 1.0, 0.5)
 PAPERS_BARRIER = SpeedBarrier(5, 0.05)
-
-
-LAW_ENGINES = {"reference": hbh23_step, "kernel": adapters.hbh23_step}
-LOOP_ENGINES = {"reference": middle_step, "kernel": adapters.middle_step}
-each_engine = pytest.mark.parametrize("step", LAW_ENGINES.values(), ids=LAW_ENGINES)
-each_loop = pytest.mark.parametrize("middle", LOOP_ENGINES.values(), ids=LOOP_ENGINES)
 
 
 def same(value, n):

@@ -4,7 +4,6 @@ from typing import NamedTuple
 
 import numpy as np
 from reference import adapters_sensors as kernels
-from reference import sensors_ekf as reference
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, ttest_1samp
 
@@ -166,12 +165,9 @@ class Filters:
         states = np.zeros((self.n, 17))
         states[:, WIND:] = flight.wind[:2]
         before = flight.position[0] - flight.velocity[0] / flight.rate_hz
-        self._begin(states, np.tile(before, (self.n, 1)), np.tile(flight.velocity[0], (self.n, 1)))
-
-    def _begin(self, states, position, velocity):
-        motion = position, velocity
+        motion = np.tile(before, (self.n, 1)), np.tile(flight.velocity[0], (self.n, 1))
         self.filters, self.past = make_filters(self.settings)
-        start_filters(self.filters, self.past, -1, self.flight.rate_hz, states, *motion)
+        start_filters(self.filters, self.past, -1, flight.rate_hz, states, *motion)
 
     @property
     def states(self):
@@ -193,51 +189,18 @@ class Filters:
             "gps_lost": np.zeros(self.n, dtype=bool),
             "gps_jump": np.zeros((self.n, 3)),
         }
-        return reference.Sensed(**{**right, **wrong})
+        return {**right, **wrong}
 
     def step(self, k, truth=None, **wrong):
         """Errors (N, 9) that are flown on after a step."""
         truth = self.flight.at(k, self.n) if truth is None else truth
-        return self._step(k, truth, self.sensed(k, **wrong))
-
-    def _step(self, k, truth, sensed):
         own = self.settings, self.filters, self.past
-        return kernels.ekf_step(*own, k, self.flight.rate_hz, truth, sensed)
+        sensed = self.sensed(k, **wrong)
+        return kernels.ekf_step(*own, k, self.flight.rate_hz, truth, **sensed)
 
     def run(self, first, end, **wrong):
         """Errors (K, N, 9) that are flown on, from the first step to before the end."""
         return np.array([self.step(k, **wrong) for k in range(first, end)])
-
-    def numbers(self):
-        """Copies of all that the filters keep."""
-        past = [self.past[name] for name in ("position", "velocity")]
-        errors = [self.past[name] for name in ("velocity_error", "position_error")]
-        names = ("states", "covariance", "residual", "covariance_step", "accepted_step")
-        return {
-            **{name: np.array(self.filters[name]) for name in names},
-            "motions": np.concatenate(past, axis=2).swapaxes(0, 1),
-            "errors": np.concatenate(errors, axis=2).swapaxes(0, 1),
-        }
-
-
-class ReferenceFilters(Filters):
-    """The same in numpy."""
-
-    def _begin(self, states, position, velocity):
-        motion = position, velocity
-        rate = self.flight.rate_hz
-        self.memory = reference.initial_memory(self.settings, -1, rate, states, *motion)
-
-    @property
-    def states(self):
-        return self.memory.states
-
-    def _step(self, k, truth, sensed):
-        own = self.memory, self.settings
-        return reference.ekf_step(*own, k, self.flight.rate_hz, truth, sensed)
-
-    def numbers(self):
-        return {name: each.copy() for name, each in self.memory._asdict().items()}
 
 
 class Ins:

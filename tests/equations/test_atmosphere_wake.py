@@ -380,3 +380,29 @@ def test_wake_is_continuous_as_points_are_stored():
         first = first or (wind, roll)
         assert wind == pytest.approx(first[0], abs=1e-12)
         assert roll == pytest.approx(first[1], abs=1e-12)
+
+
+def test_wake_is_carried_by_the_wind():
+    """Flights through the air are the same in any wind, of which the shedders' mean counts."""
+    mean, apart = np.array([4.0, -3.0, 0.5]), np.array([1.0, 2.0, -0.3])
+    ambient = np.array([mean + apart, mean - apart, mean + 5.0])
+    sheds = np.array([True, True, False])
+    calm, windy = make(3, sheds=sheds), make(3, sheds=sheds)
+    turn, bank = 0.2, np.arctan(0.2 * SPEED / GRAVITY)
+    start = np.array([[0.0, 0.0, 0.0], [-9.0, 1.5, 0.2], [-17.0, -1.0, 0.0]])
+    for tick in range(200):
+        angle = turn * tick * DT
+        forward, inward = [np.cos(angle), np.sin(angle), 0.0], [-np.sin(angle), np.cos(angle), 0.0]
+        axes = rotation_ned_body(np.array([0.0, 0.0, angle]))
+        position = start @ axes.T - SPEED / turn * np.array(inward)
+        velocity = np.tile(SPEED * np.array(forward), (3, 1))
+        motion = (
+            np.tile(SPEED * turn * np.array(inward), (3, 1)),
+            np.tile([bank, 0.0, angle], (3, 1)),
+        )
+        expected = next_step(calm, position, velocity, *motion)
+        carried = position + mean * tick * DT
+        found = next_step(windy, carried, velocity + ambient, *motion, ambient)
+        for one, two in zip(found, expected, strict=True):
+            assert one == pytest.approx(two, abs=1e-9)
+    assert abs(expected[0]).max() > 0.1

@@ -2,10 +2,9 @@
 
 import math
 import warnings
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
@@ -38,29 +37,6 @@ from testbed.core.records import (
     write_fields,
 )
 from testbed.scenario import library
-
-
-class Engine(NamedTuple):
-    fbwa: Callable[..., Any]
-    settled: Callable[..., Any]
-
-
-def _fbwa(
-    state: VehicleState, command: FbwaCommand, memory: Any, gains: Any
-) -> tuple[ActuatorCommand, Any]:
-    return reference.fbwa(state, command, memory, reference_gains(gains))
-
-
-ENGINES = {
-    "reference": Engine(_fbwa, lambda held, gains: reference.settled(held, reference_gains(gains))),
-    "kernel": Engine(adapters.fbwa, adapters.settled),
-}
-
-
-@pytest.fixture(params=ENGINES.values(), ids=ENGINES)
-def engine(request: pytest.FixtureRequest) -> Engine:
-    return request.param
-
 
 DT = 0.02
 PROMPT = AutopilotTiming(command_latency=0.0)
@@ -111,82 +87,70 @@ def _command(roll: float = 0.0, pitch: float = 0.0, throttle: float = 0.5) -> Fb
     return FbwaCommand(np.radians([pitch]), np.radians([roll]), np.array([throttle]))
 
 
-def _once(
-    engine: Engine, params: FbwaParams, state: VehicleState, command: FbwaCommand
-) -> ActuatorCommand:
-    return engine.fbwa(state, command, fresh(1), gains=make_gains([params], DT, PROMPT))[0]
+def _once(params: FbwaParams, state: VehicleState, command: FbwaCommand) -> ActuatorCommand:
+    return adapters.fbwa(state, command, fresh(1), gains=make_gains([params], DT, PROMPT))[0]
 
 
-def test_feed_forward_by_hand(engine: Engine) -> None:
+def test_feed_forward_by_hand() -> None:
     # 10° to go at 0.5 s: 20 °/s; × 0.3 / EAS2TAS 1.02 = 5.882 of 45 degrees of aileron.
-    surfaces = _once(engine, PLAIN, _state(roll=5.0), _command(roll=15.0))
+    surfaces = _once(PLAIN, _state(roll=5.0), _command(roll=15.0))
     assert surfaces.aileron[0] == pytest.approx(20.0 * 0.3 / 1.02 / 45.0, rel=1e-12)
     # Rudder: half the aileron.
     assert surfaces.rudder[0] == pytest.approx(0.5 * surfaces.aileron[0])
 
 
-def test_gains_scale_with_airspeed(engine: Engine) -> None:
+def test_gains_scale_with_airspeed() -> None:
     slow, fast = _state(p=-10.0, eas=16.0), _state(p=-10.0, eas=25.0)
     hold = _command()
     p_only = replace(PLAIN, rll_rate_ff=0.0, rll_rate_p=0.2)
     # Target 0, rate −10 °/s: P × 10 × s², s = 20/EAS.
-    assert _once(engine, p_only, slow, hold).aileron[0] == pytest.approx(
-        0.2 * 10 * (20 / 16) ** 2 / 45
-    )
-    assert _once(engine, p_only, fast, hold).aileron[0] == pytest.approx(
-        0.2 * 10 * (20 / 25) ** 2 / 45
-    )
+    assert _once(p_only, slow, hold).aileron[0] == pytest.approx(0.2 * 10 * (20 / 16) ** 2 / 45)
+    assert _once(p_only, fast, hold).aileron[0] == pytest.approx(0.2 * 10 * (20 / 25) ** 2 / 45)
     roll = _command(roll=10.0)
-    ratio = (
-        _once(engine, PLAIN, slow, roll).aileron[0] / _once(engine, PLAIN, fast, roll).aileron[0]
-    )
+    ratio = _once(PLAIN, slow, roll).aileron[0] / _once(PLAIN, fast, roll).aileron[0]
     assert ratio == pytest.approx(25.0 / 16.0)
 
 
-def test_speed_scaler_stays_in_its_limits(engine: Engine) -> None:
+def test_speed_scaler_stays_in_its_limits() -> None:
     # Highest: max(2, 20/(0.7·10)) = 2.857; lowest: min(0.5, 20/60) = 1/3.
     p_only = replace(PLAIN, rll_rate_ff=0.0, rll_rate_p=0.02)
     slow, fast = _state(p=-10.0, eas=2.0), _state(p=-10.0, eas=100.0)
-    assert _once(engine, p_only, slow, _command()).aileron[0] == pytest.approx(
-        0.2 * (2 / 0.7) ** 2 / 45
-    )
-    assert _once(engine, p_only, fast, _command()).aileron[0] == pytest.approx(0.2 / 9.0 / 45)
+    assert _once(p_only, slow, _command()).aileron[0] == pytest.approx(0.2 * (2 / 0.7) ** 2 / 45)
+    assert _once(p_only, fast, _command()).aileron[0] == pytest.approx(0.2 / 9.0 / 45)
 
 
-def test_low_throttle_lowers_the_nose(engine: Engine) -> None:
+def test_low_throttle_lowers_the_nose() -> None:
     # 30 % of 50 %: 2° × 20/50 = 0.8° off a 2° command, at 0.5 s: 2.4 °/s.
-    surfaces = _once(engine, PLAIN, _state(), _command(pitch=2.0, throttle=0.3))
+    surfaces = _once(PLAIN, _state(), _command(pitch=2.0, throttle=0.3))
     assert surfaces.elevator[0] == pytest.approx(1.2 / 0.5 * 0.4 / 1.02 / 45.0)
     assert surfaces.throttle[0] == 0.3
 
 
-def test_sticks_are_limited(engine: Engine) -> None:
-    assert _once(engine, PLAIN, _state(roll=50.0), _command(roll=80.0)).aileron[0] == pytest.approx(
-        0.0
-    )
-    up = _once(engine, replace(PLAIN, ptch2srv_rll=0.0), _state(pitch=20.0), _command(pitch=60.0))
+def test_sticks_are_limited() -> None:
+    assert _once(PLAIN, _state(roll=50.0), _command(roll=80.0)).aileron[0] == pytest.approx(0.0)
+    up = _once(replace(PLAIN, ptch2srv_rll=0.0), _state(pitch=20.0), _command(pitch=60.0))
     assert up.elevator[0] == pytest.approx(0.0)
     limited = replace(PLAIN, thr_max=75.0)
-    assert _once(engine, limited, _state(), _command(throttle=1.0)).throttle[0] == 0.75
-    assert _once(engine, limited, _state(), _command(throttle=-1.0)).throttle[0] == 0.0
+    assert _once(limited, _state(), _command(throttle=1.0)).throttle[0] == 0.75
+    assert _once(limited, _state(), _command(throttle=-1.0)).throttle[0] == 0.0
 
 
-def test_roll_demand_shrinks_with_pitch(engine: Engine) -> None:
+def test_roll_demand_shrinks_with_pitch() -> None:
     """The stick commands a share of ROLL_LIMIT_DEG cos θ; at 60° of pitch that is half."""
-    level = _once(engine, PLAIN, _state(), _command(roll=20.0))
-    steep = _once(engine, PLAIN, _state(pitch=60.0), _command(roll=20.0))
+    level = _once(PLAIN, _state(), _command(roll=20.0))
+    steep = _once(PLAIN, _state(pitch=60.0), _command(roll=20.0))
     assert steep.aileron[0] == pytest.approx(0.5 * level.aileron[0])
-    limit = _once(engine, PLAIN, _state(roll=25.0, pitch=60.0), _command(roll=80.0))
+    limit = _once(PLAIN, _state(roll=25.0, pitch=60.0), _command(roll=80.0))
     assert limit.aileron[0] == pytest.approx(0.0, abs=1e-12)
 
 
-def test_nose_down_demand_shrinks_with_bank(engine: Engine) -> None:
+def test_nose_down_demand_shrinks_with_bank() -> None:
     """The stick commands a share of PTCH_LIM_MIN_DEG cos φ; up, of PTCH_LIM_MAX_DEG."""
     flat = replace(PLAIN, ptch2srv_rll=0.0, roll_limit_deg=70.0)
 
     def elevator(pitch: float, command: float, throttle: float = 0.5) -> float:
         state, wanted = _state(roll=-60.0, pitch=pitch), _command(-60.0, command, throttle)
-        return float(_once(engine, flat, state, wanted).elevator[0])
+        return float(_once(flat, state, wanted).elevator[0])
 
     assert elevator(-5.0, -10.0) == pytest.approx(0.0, abs=1e-12)
     assert elevator(10.0, 10.0) == pytest.approx(0.0, abs=1e-12)
@@ -204,40 +168,38 @@ def test_nose_down_demand_shrinks_with_bank(engine: Engine) -> None:
         (20.0, 50.0),  # n = 4: 75°, so ROLL_LIMIT_DEG
     ],
 )
-def test_load_factor_limits_the_bank(engine: Engine, eas: float, limit: float) -> None:
-    at_limit = _once(engine, PLAIN, _state(roll=limit, eas=eas), _command(roll=89.0))
+def test_load_factor_limits_the_bank(eas: float, limit: float) -> None:
+    at_limit = _once(PLAIN, _state(roll=limit, eas=eas), _command(roll=89.0))
     assert at_limit.aileron[0] == pytest.approx(0.0, abs=1e-12)
     stalls_at_8 = replace(PLAIN, airspeed_stall=8.0)
-    more = _once(engine, stalls_at_8, _state(roll=limit, eas=eas), _command(roll=-89.0))
+    more = _once(stalls_at_8, _state(roll=limit, eas=eas), _command(roll=-89.0))
     assert more.aileron[0] < 0.0
 
 
-def test_turns_are_coordinated_in_pitch(engine: Engine) -> None:
+def test_turns_are_coordinated_in_pitch() -> None:
     # q = g/V tan φ sin φ cos θ at 40°, 5°: 9.80665/20.4 · 0.83910 · 0.64279 · 0.99619 rad/s.
-    level = _once(engine, PLAIN, _state(roll=40.0, pitch=5.0), _command(roll=40.0, pitch=5.0))
+    level = _once(PLAIN, _state(roll=40.0, pitch=5.0), _command(roll=40.0, pitch=5.0))
     rate = math.degrees(9.80665 / 20.4 * 0.8390996 * 0.6427876 * 0.9961947)
     assert level.elevator[0] == pytest.approx(rate * 0.4 / 1.02 / 45.0, rel=1e-6)
 
 
-def test_pitch_is_given_up_beyond_the_roll_limit(engine: Engine) -> None:
+def test_pitch_is_given_up_beyond_the_roll_limit() -> None:
     def elevator(roll: float) -> float:
         wanted = _command(roll=roll, pitch=10.0)
-        return float(
-            _once(engine, replace(PLAIN, ptch2srv_rll=0.0), _state(roll=roll), wanted).elevator[0]
-        )
+        return float(_once(replace(PLAIN, ptch2srv_rll=0.0), _state(roll=roll), wanted).elevator[0])
 
     assert elevator(55.0) == pytest.approx(elevator(0.0))
     assert elevator(72.5) == pytest.approx(0.5 * elevator(0.0))  # half way from 55° to 90°
     assert elevator(90.0) == pytest.approx(0.0, abs=1e-12)
 
 
-def test_pitch_fades_from_85_degrees_at_most(engine: Engine) -> None:
+def test_pitch_fades_from_85_degrees_at_most() -> None:
     """As in ArduPlane, with a roll limit of 83°, and only below 70° of pitch."""
     params = replace(PLAIN, roll_limit_deg=83.0, ptch2srv_rll=0.0, ptch_lim_max_deg=80.0)
 
     def elevator(roll: float, pitch: float) -> float:
         state, wanted = _state(roll=roll, pitch=pitch), _command(roll=roll, pitch=pitch + 5.0)
-        return float(_once(engine, params, state, wanted).elevator[0])
+        return float(_once(params, state, wanted).elevator[0])
 
     whole = elevator(0.0, 0.0)
     assert elevator(84.9, 0.0) == pytest.approx(whole)
@@ -246,55 +208,55 @@ def test_pitch_fades_from_85_degrees_at_most(engine: Engine) -> None:
     assert elevator(87.5, 71.0) == pytest.approx(whole)
 
 
-def test_turns_are_not_coordinated_when_steep(engine: Engine) -> None:
+def test_turns_are_not_coordinated_when_steep() -> None:
     up = replace(PLAIN, ptch_lim_max_deg=80.0)
     for pitch, coordinated in ((69.0, True), (71.0, False)):
         state, wanted = _state(roll=40.0, pitch=pitch), _command(roll=40.0, pitch=pitch)
-        assert (_once(engine, up, state, wanted).elevator[0] > 1e-6) == coordinated
+        assert (_once(up, state, wanted).elevator[0] > 1e-6) == coordinated
 
 
-def test_rates_are_limited_on_each_side(engine: Engine) -> None:
+def test_rates_are_limited_on_each_side() -> None:
     params = replace(
         PLAIN, rll2srv_rmax=30.0, ptch2srv_rmax_up=12.0, ptch2srv_rmax_dn=6.0, ptch2srv_rll=0.0
     )
-    up = _once(engine, params, _state(), _command(roll=45.0, pitch=15.0))
+    up = _once(params, _state(), _command(roll=45.0, pitch=15.0))
     assert up.aileron[0] == pytest.approx(30.0 * 0.3 / 1.02 / 45.0)
     assert up.elevator[0] == pytest.approx(12.0 * 0.4 / 1.02 / 45.0)
-    down = _once(engine, params, _state(), _command(roll=-45.0, pitch=-15.0))
+    down = _once(params, _state(), _command(roll=-45.0, pitch=-15.0))
     assert down.aileron[0] == pytest.approx(-30.0 * 0.3 / 1.02 / 45.0)
     assert down.elevator[0] == pytest.approx(-6.0 * 0.4 / 1.02 / 45.0)
 
 
-def test_integral_grows_is_limited_and_freezes(engine: Engine) -> None:
+def test_integral_grows_is_limited_and_freezes() -> None:
     params = replace(PLAIN, rll_rate_ff=0.0, rll_rate_i=1.0, rll_rate_imax=0.1)
     gains = make_gains([params], DT, PROMPT)
     rolling = _state(p=-10.0)
-    _, memory = engine.fbwa(rolling, _command(), fresh(1), gains=gains)
+    _, memory = adapters.fbwa(rolling, _command(), fresh(1), gains=gains)
     # 1 × 10° × 0.02 s of 45°
     assert memory.each["integral"][0, 0] == pytest.approx(10.0 * 0.02 / 45.0)
     for _ in range(200):
-        _, memory = engine.fbwa(rolling, _command(), memory, gains=gains)
+        _, memory = adapters.fbwa(rolling, _command(), memory, gains=gains)
     assert memory.each["integral"][0, 0] == pytest.approx(math.degrees(0.1) / 45.0)
 
 
 @pytest.mark.parametrize(
     ("eas", "grows"), [(10.1, (True, True)), (10.0, (False, True)), (5.0, (False, False))]
 )
-def test_integral_freezes_at_low_airspeed(engine: Engine, eas: float, grows: Any) -> None:
+def test_integral_freezes_at_low_airspeed(eas: float, grows: Any) -> None:
     """At AIRSPEED_MIN, 10 m/s, that of roll, and at half of it that of pitch."""
     params = replace(PLAIN, rll_rate_i=1.0, ptch_rate_i=1.0)
     gains = make_gains([params], DT, PROMPT)
-    _, memory = engine.fbwa(_state(p=-10.0, q=-10.0, eas=eas), _command(), fresh(1), gains=gains)
+    _, memory = adapters.fbwa(_state(p=-10.0, q=-10.0, eas=eas), _command(), fresh(1), gains=gains)
     assert tuple(memory.each["integral"][0] > 0.0) == grows
 
 
-def test_airspeed_is_read_and_filtered_at_10_hz(engine: Engine) -> None:
+def test_airspeed_is_read_and_filtered_at_10_hz() -> None:
     """A step from 16 to 25 m/s; feed-forward is 1 over the speed scaler, whose cut-off is 2 Hz."""
     gains, memory = make_gains([PLAIN], DT, PROMPT), fresh(1)
     ailerons = []
     for k in range(16):
         state = _state(eas=16.0 if k < 3 else 25.0)
-        surfaces, memory = engine.fbwa(state, _command(roll=10.0), memory, gains=gains)
+        surfaces, memory = adapters.fbwa(state, _command(roll=10.0), memory, gains=gains)
         ailerons.append(surfaces.aileron[0])
     pressure, scaler, weight = 16.0**2, 20.0 / 16.0, 0.1 / (0.1 + 1.0 / (4.0 * math.pi))
     for k, aileron in enumerate(ailerons):
@@ -305,13 +267,13 @@ def test_airspeed_is_read_and_filtered_at_10_hz(engine: Engine) -> None:
         assert aileron == pytest.approx(20.0 * 0.3 * scaler / 1.02 / 45.0, rel=1e-12)
 
 
-def test_stall_prevention_smooths_the_airspeed(engine: Engine) -> None:
+def test_stall_prevention_smooths_the_airspeed() -> None:
     """At 12 m/s the bank is limited to 46°, from 9 m/s to 25° until the smoothed airspeed rises."""
     gains, memory = make_gains([PLAIN], DT, PROMPT), fresh(1)
     smoothed, pressure = 9.0, 81.0
     for k in range(200):
         eas = 9.0 if k == 0 else 12.0
-        surfaces, memory = engine.fbwa(
+        surfaces, memory = adapters.fbwa(
             _state(roll=25.0, eas=eas), _command(roll=89.0), memory, gains=gains
         )
         if k and k % 5 == 0:
@@ -323,37 +285,37 @@ def test_stall_prevention_smooths_the_airspeed(engine: Engine) -> None:
     assert limit == pytest.approx(math.degrees(math.acos(1.0 / 1.44)), rel=1e-3)
 
 
-def test_airspeed_of_zero_gives_finite_surfaces(engine: Engine) -> None:
+def test_airspeed_of_zero_gives_finite_surfaces() -> None:
     gains, memory = make_gains([PLAIN], DT, PROMPT), fresh(1)
     for k in range(20):
         state = _state(roll=20.0, eas=0.0 if k < 6 or k > 11 else 20.0)
-        surfaces, memory = engine.fbwa(state, _command(roll=10.0), memory, gains=gains)
+        surfaces, memory = adapters.fbwa(state, _command(roll=10.0), memory, gains=gains)
         assert np.isfinite(surfaces).all()
 
 
-def test_integral_is_zero_without_its_gain(engine: Engine) -> None:
+def test_integral_is_zero_without_its_gain() -> None:
     """As in ArduPlane, also where a parameter is changed in flight."""
     params = replace(PLAIN, rll_rate_i=1.0)
     gains = make_gains([params], DT, PROMPT)
-    _, memory = engine.fbwa(_state(p=-10.0), _command(), fresh(1), gains=gains)
+    _, memory = adapters.fbwa(_state(p=-10.0), _command(), fresh(1), gains=gains)
     assert memory.each["integral"][0, 0] > 0.0
     gains = make_gains([PLAIN], DT, PROMPT)
-    _, memory = engine.fbwa(_state(p=-10.0), _command(), memory, gains=gains)
+    _, memory = adapters.fbwa(_state(p=-10.0), _command(), memory, gains=gains)
     assert memory.each["integral"][0, 0] == 0.0
 
 
-def _slewed(engine: Engine, rates: np.ndarray, smax: float) -> np.ndarray:
+def _slewed(rates: np.ndarray, smax: float) -> np.ndarray:
     """Fly body roll rates (K,), deg/s, with a gain P of 0.5 only; return the ailerons (K,)."""
     p_only = replace(PLAIN, rll_rate_ff=0.0, rll_rate_p=0.5, rll_rate_smax=smax)
     gains, memory = make_gains([p_only], DT, PROMPT), fresh(1)
     ailerons = []
     for rate in rates:
-        surfaces, memory = engine.fbwa(_state(p=-rate), _command(), memory, gains=gains)
+        surfaces, memory = adapters.fbwa(_state(p=-rate), _command(), memory, gains=gains)
         ailerons.append(surfaces.aileron[0])
     return np.array(ailerons)
 
 
-def test_slew_limiter_reduces_an_oscillation(engine: Engine) -> None:
+def test_slew_limiter_reduces_an_oscillation() -> None:
     """A steady wave comes to S / (S + 1.5 (m − S)), m the slope of P + D after that factor.
 
     m is f times the slope of the free P + D after difference and low-pass at 25 Hz, and decays
@@ -361,9 +323,9 @@ def test_slew_limiter_reduces_an_oscillation(engine: Engine) -> None:
     """
     smax, omega = 100.0, 2.0 * math.pi * 3.0
     rates = 60.0 * np.sin(omega * DT * np.arange(500))
-    free = _slewed(engine, rates, 0.0)
+    free = _slewed(rates, 0.0)
     assert free == pytest.approx(0.5 * rates / 45.0, rel=1e-12)
-    held = _slewed(engine, rates, smax)
+    held = _slewed(rates, smax)
     amplitude = 45.0 * 0.5 * math.radians(60.0)
     alpha, z = DT / (DT + 1.0 / (50.0 * math.pi)), np.exp(-1j * omega * DT)
     slope = amplitude * abs(alpha * (1.0 - z) / DT / (1.0 - (1.0 - alpha) * z))
@@ -377,29 +339,29 @@ def test_slew_limiter_reduces_an_oscillation(engine: Engine) -> None:
     assert 0.4 < low < flown < high < 0.5
 
 
-def test_slew_limiter_leaves_a_step_alone(engine: Engine) -> None:
+def test_slew_limiter_leaves_a_step_alone() -> None:
     """One fast slope, or a slow wave, is no oscillation."""
     step = np.where(np.arange(200) < 50, 0.0, 60.0)
-    assert np.array_equal(_slewed(engine, step, 100.0), _slewed(engine, step, 0.0))
+    assert np.array_equal(_slewed(step, 100.0), _slewed(step, 0.0))
     slow = 60.0 * np.sin(2.0 * math.pi * 0.5 * DT * np.arange(300))
-    assert np.array_equal(_slewed(engine, slow, 100.0), _slewed(engine, slow, 0.0))
+    assert np.array_equal(_slewed(slow, 100.0), _slewed(slow, 0.0))
 
 
-def test_integral_shrinks_only_at_full_deflection(engine: Engine) -> None:
+def test_integral_shrinks_only_at_full_deflection() -> None:
     params = replace(PLAIN, rll_rate_ff=0.0, rll_rate_p=2.0, rll_rate_i=0.5)
     gains = make_gains([params], DT, PROMPT)
     memory = fresh(1)
     for _ in range(3):
-        surfaces, memory = engine.fbwa(_state(p=-60.0), _command(), memory, gains=gains)
+        surfaces, memory = adapters.fbwa(_state(p=-60.0), _command(), memory, gains=gains)
     assert surfaces.aileron[0] == 1.0
     stuck = memory.each["integral"][0, 0]
-    _, memory = engine.fbwa(_state(p=-60.0), _command(), memory, gains=gains)
+    _, memory = adapters.fbwa(_state(p=-60.0), _command(), memory, gains=gains)
     assert memory.each["integral"][0, 0] == stuck
-    _, memory = engine.fbwa(_state(p=60.0), _command(), memory, gains=gains)
+    _, memory = adapters.fbwa(_state(p=60.0), _command(), memory, gains=gains)
     assert memory.each["integral"][0, 0] < stuck
 
 
-def test_the_loop_against_plain_scalar_arithmetic(engine: Engine) -> None:
+def test_the_loop_against_plain_scalar_arithmetic() -> None:
     """Second route: the rate loop of one axis in scalars, over 50 periods of a moving aircraft."""
     params = read_params(Path(__file__).parents[2] / "aircraft" / "rascal110" / "recorded.param")
     params = replace(params, ins_gyro_filter=0.0)
@@ -410,7 +372,7 @@ def test_the_loop_against_plain_scalar_arithmetic(engine: Engine) -> None:
     for k in range(50):
         roll, p = 30.0 * math.sin(0.1 * k), 25.0 * math.cos(0.15 * k)
         state = _state(roll=roll, p=p, eas=18.0)
-        surfaces, memory = engine.fbwa(state, _command(roll=20.0), memory, gains=gains)
+        surfaces, memory = adapters.fbwa(state, _command(roll=20.0), memory, gains=gains)
         s = 15.0 / 18.0
         wanted = math.radians(max(-90.0, min(90.0, (20.0 - roll) / params.rll2srv_tconst))) * s * s
         last = error
@@ -431,12 +393,12 @@ def test_the_loop_against_plain_scalar_arithmetic(engine: Engine) -> None:
         assert surfaces.aileron[0] == pytest.approx(expected, abs=1e-12)
 
 
-def test_commands_act_after_their_latency(engine: Engine) -> None:
+def test_commands_act_after_their_latency() -> None:
     gains = make_gains([PLAIN], DT, AutopilotTiming(command_latency=0.03))
-    _, memory = engine.fbwa(_state(), _command(), fresh(1), gains=gains)
+    _, memory = adapters.fbwa(_state(), _command(), fresh(1), gains=gains)
     ailerons = []
     for _ in range(3):
-        surfaces, memory = engine.fbwa(_state(), _command(roll=10.0), memory, gains=gains)
+        surfaces, memory = adapters.fbwa(_state(), _command(roll=10.0), memory, gains=gains)
         ailerons.append(surfaces.aileron[0])
     # 1.5 periods: nothing, then half way between two samples, then all.
     assert ailerons[0] == 0.0
@@ -451,7 +413,7 @@ def _analog(frequency: Any, cutoff: float) -> Any:
 
 
 def _flown_response(
-    engine: Engine, params: FbwaParams, rate_hz: int, frequency: float, timing: AutopilotTiming
+    params: FbwaParams, rate_hz: int, frequency: float, timing: AutopilotTiming
 ) -> complex:
     """Fly a wave of roll rate through a gain P of 0.1 alone; return the gyro filter's response."""
     dt, p_only = 1.0 / rate_hz, replace(params, rll_rate_ff=0.0, rll_rate_p=0.1)
@@ -459,7 +421,7 @@ def _flown_response(
     phases = 2.0 * math.pi * frequency * dt * np.arange(2 * rate_hz)
     ailerons = []
     for phase in phases:
-        surfaces, memory = engine.fbwa(
+        surfaces, memory = adapters.fbwa(
             _state(p=-10.0 * math.cos(phase)), _command(), memory, gains=gains
         )
         ailerons.append(surfaces.aileron[0])
@@ -475,10 +437,10 @@ def _lag_ms(response: complex, frequency: float) -> float:
     ("rate_hz", "frequency"),
     [(400, 5.0), (200, 1.0), (100, 5.0), (50, 1.0), (50, 5.0), (40, 5.0), (25, 5.0), (10, 1.0)],
 )
-def test_gyro_filter_has_an_aircrafts_lag(engine: Engine, rate_hz: int, frequency: float) -> None:
+def test_gyro_filter_has_an_aircrafts_lag(rate_hz: int, frequency: float) -> None:
     """Within 1 ms of 11.25 ms up to 5 Hz; below 25 Hz up to an eighth of the autopilot's rate."""
     params = replace(PLAIN, ins_gyro_filter=20.0)
-    flown = _flown_response(engine, params, rate_hz, frequency, PROMPT)
+    flown = _flown_response(params, rate_hz, frequency, PROMPT)
     assert _lag_ms(flown, frequency) == pytest.approx(11.25, abs=1.0)
     assert _lag_ms(_analog(frequency, 20.0), frequency) == pytest.approx(11.25, abs=0.25)
     # straight lines between samples are the wave and its aliases, each times sinc² (f dt)
@@ -510,7 +472,7 @@ def test_gyro_filter_equals_the_continuous_one(rate_hz: int, cutoff: float) -> N
     assert sum(b) == pytest.approx(1.0 + sum(a), abs=1e-15)
 
 
-def test_sitl_gyro_filter_by_its_frames(engine: Engine) -> None:
+def test_sitl_gyro_filter_by_its_frames() -> None:
     """20 Hz of 1000 Hz act at 4 Hz with physics at 200 Hz, by the bilinear transform."""
     timing = AutopilotTiming(command_latency=0.0, sitl_physics_hz=200.0)
     params = replace(PLAIN, ins_gyro_filter=20.0)
@@ -518,7 +480,7 @@ def test_sitl_gyro_filter_by_its_frames(engine: Engine) -> None:
     b, a = signal.butter(2, 4.0, fs=50.0)
     assert gains["gyro_b"][0] == pytest.approx(b, rel=1e-12)
     assert gains["gyro_a"][0] == pytest.approx(a[1:], rel=1e-12)
-    flown = _flown_response(engine, params, 50, 4.0, timing)
+    flown = _flown_response(params, 50, 4.0, timing)
     assert abs(flown) == pytest.approx(1.0 / math.sqrt(2.0), rel=1e-3)
     cutoffs = [sitl_gyro_cutoff(params, hz) for hz in (100.0, 200.0, 400.0, 1000.0, 1200.0)]
     assert cutoffs == [2.0, 4.0, 8.0, 20.0, 20.0]
@@ -529,28 +491,28 @@ def test_sitl_gyro_filter_by_its_frames(engine: Engine) -> None:
         assert np.array_equal(fast[name], own[name])
 
 
-def test_gyro_filter_starts_settled(engine: Engine) -> None:
+def test_gyro_filter_starts_settled() -> None:
     p_only = replace(PLAIN, rll_rate_ff=0.0, rll_rate_p=0.1, ins_gyro_filter=20.0)
     gains, memory = make_gains([p_only], DT, PROMPT), fresh(1)
     for _ in range(5):
-        surfaces, memory = engine.fbwa(_state(p=10.0), _command(), memory, gains=gains)
+        surfaces, memory = adapters.fbwa(_state(p=10.0), _command(), memory, gains=gains)
         assert surfaces.aileron[0] == pytest.approx(-0.1 * 10.0 / 45.0, rel=1e-12)
 
 
-def test_settled_memory_holds_the_surfaces(engine: Engine) -> None:
+def test_settled_memory_holds_the_surfaces() -> None:
     params = replace(PLAIN, servo1_min=1100.0, servo1_max=1900.0, rll_rate_i=0.1, ptch_rate_i=0.1)
     gains = make_gains([params], DT, PROMPT)
     held = ActuatorCommand(np.array([0.05]), np.array([-0.2]), np.zeros(1), np.array([0.5]))
-    surfaces, _ = engine.fbwa(_state(), _command(), engine.settled(held, gains), gains=gains)
+    surfaces, _ = adapters.fbwa(_state(), _command(), adapters.settled(held, gains), gains=gains)
     assert surfaces.aileron[0] == pytest.approx(0.05)
     assert surfaces.elevator[0] == pytest.approx(-0.2)
     # as in ArduPlane, a loop without an integral gain has no integral
     gains = make_gains([replace(params, ptch_rate_i=0.0)], DT, PROMPT)
-    surfaces, _ = engine.fbwa(_state(), _command(), engine.settled(held, gains), gains=gains)
+    surfaces, _ = adapters.fbwa(_state(), _command(), adapters.settled(held, gains), gains=gains)
     assert (surfaces.aileron[0], surfaces.elevator[0]) == (pytest.approx(0.05), 0.0)
 
 
-def test_a_fleet_is_its_members(engine: Engine) -> None:
+def test_a_fleet_is_its_members() -> None:
     """Two aircraft with different tunes at once equal each alone, to the bit."""
     tunes = [PLAIN, replace(PLAIN, rll_rate_p=0.3, rll2srv_tconst=0.2, roll_limit_deg=30.0)]
     one, two = _state(roll=10.0, p=4.0), _state(roll=-20.0, q=3.0, eas=17.0)
@@ -561,10 +523,10 @@ def test_a_fleet_is_its_members(engine: Engine) -> None:
         }
     )
     command = FbwaCommand(np.radians([5.0, -3.0]), np.radians([40.0, 20.0]), np.array([0.3, 0.6]))
-    together, _ = engine.fbwa(both, command, fresh(2), gains=make_gains(tunes, DT))
+    together, _ = adapters.fbwa(both, command, fresh(2), gains=make_gains(tunes, DT))
     for i, (tune, state) in enumerate(zip(tunes, (one, two), strict=True)):
         mine = FbwaCommand(command.pitch[[i]], command.roll[[i]], command.throttle[[i]])
-        alone, _ = engine.fbwa(state, mine, fresh(1), gains=make_gains([tune], DT))
+        alone, _ = adapters.fbwa(state, mine, fresh(1), gains=make_gains([tune], DT))
         for name in ("aileron", "elevator", "rudder", "throttle"):
             assert getattr(together, name)[i] == getattr(alone, name)[0]
 
@@ -586,7 +548,7 @@ def test_the_kernel_does_what_the_reference_does(name: str, latency: float) -> N
         command = FbwaCommand(
             rng.normal(0.0, 0.3, 3), rng.normal(0.0, 1.0, 3), rng.uniform(-0.2, 1.2, 3)
         )
-        one, ours = _fbwa(state, command, ours, gains)
+        one, ours = reference.fbwa(state, command, ours, reference_gains(gains))
         two, theirs = adapters.fbwa(state, command, theirs, gains)
         # the same in some rows of the records of more aircraft
         mine = allocate(AIRCRAFT, 3)

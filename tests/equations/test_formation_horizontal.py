@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from formation_cases import (
-    LOOP_ENGINES,
     NOW,
-    each_engine,
     flags,
     make_law,
     make_middle,
+    middle,
     mixed_options,
     results,
     states,
+    step,
 )
 from reference.frames import velocity_frame
 
@@ -52,9 +52,8 @@ def shaken(own, inbox, memory, rng):
     return own, inbox, memory
 
 
-@each_engine
 @pytest.mark.parametrize("source", SOURCES.values(), ids=SOURCES)
-def test_vertical_motion_has_no_effect(step, source):
+def test_vertical_motion_has_no_effect(source):
     rng = np.random.default_rng(50)
     n = 6
     for of_airspeed in (False, True):
@@ -77,8 +76,7 @@ def test_vertical_motion_has_no_effect(step, source):
         assert (calm.direction[:, 2] == 0.0).all()
 
 
-@each_engine
-def test_vertical_motion_matters_in_three_axes(step):
+def test_vertical_motion_matters_in_three_axes():
     rng = np.random.default_rng(51)
     law = make_law(6, rng)
     known = states(6, rng)
@@ -88,8 +86,7 @@ def test_vertical_motion_matters_in_three_axes(step):
     assert (abs(calm.omega[:, 2] - other.omega[:, 2]) > 1e-5).all()
 
 
-@each_engine
-def test_in_a_level_world_both_variants_are_one(step):
+def test_in_a_level_world_both_variants_are_one():
     """Without vertical motion, gains and offsets both variants are equal."""
     rng = np.random.default_rng(52)
     n = 5
@@ -109,11 +106,9 @@ def test_in_a_level_world_both_variants_are_one(step):
         np.testing.assert_allclose(theirs[name], array, rtol=1e-12, atol=1e-14, err_msg=name)
 
 
-@each_engine
-@pytest.mark.parametrize("middle", LOOP_ENGINES.values(), ids=LOOP_ENGINES)
 @pytest.mark.parametrize("source", [leading.BROADCAST, leading.TURN], ids=["broadcast", "turn"])
 @pytest.mark.parametrize("gamma", [0.0, 0.3])
-def test_slot_beside_a_helix_is_a_level_circle(step, middle, source, gamma):
+def test_slot_beside_a_helix_is_a_level_circle(source, gamma):
     """By hand: the leader's shadow on the map turns at σ̇, and so does the slot beside it.
 
     The law asks for that circle, whatever the leader climbs; pitch is the altitude's PID alone.
@@ -175,8 +170,7 @@ def test_slot_beside_a_helix_is_a_level_circle(step, middle, source, gamma):
     assert after.altitude == pytest.approx([1.0 + 0.04 * 3.0, -2.0 - 0.04 * 3.0], abs=1e-14)
 
 
-@each_engine
-def test_a_mixed_team_is_each_of_its_own_kind(step):
+def test_a_mixed_team_is_each_of_its_own_kind():
     """One agent holds an altitude, its neighbour flies all three: rows do not mix."""
     rng = np.random.default_rng(55)
     law = make_law(2, rng)

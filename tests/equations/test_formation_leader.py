@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from formation_cases import NOW, each_engine, flags, make_law, states
+from formation_cases import NOW, flags, make_law, states, step
 from reference.adapters import (
     corrected,
     differentiate,
@@ -81,8 +81,7 @@ def test_parabola_is_followed_exactly_where_chosen():
     assert np.array_equal(moving[1, 0], velocity)
 
 
-@each_engine
-def test_a_step_reckons_with_the_present(step):
+def test_a_step_reckons_with_the_present():
     """A message of before, brought to now, is a message of now: to rounding, in the whole step."""
     rng = np.random.default_rng(61)
     for parabola in (False, True):
@@ -175,9 +174,8 @@ def test_turn_acceleration_is_that_of_the_velocity():
     assert turning == pytest.approx(coordinated, abs=1e-13)
 
 
-@each_engine
 @pytest.mark.parametrize("gamma", [0.0, 0.3, -0.25])
-def test_turn_of_a_helix_is_its_acceleration(step, gamma):
+def test_turn_of_a_helix_is_its_acceleration(gamma):
     """Message after message along a helix: q̈_g as it is, with no share of the average in it."""
     rng = np.random.default_rng(63)
     speed, turn = 22.0, 0.25
@@ -199,8 +197,7 @@ def test_turn_of_a_helix_is_its_acceleration(step, gamma):
         assert memory.acceleration == pytest.approx(np.tile(expected, (2, 1)), abs=1e-11)
 
 
-@each_engine
-def test_each_agent_uses_its_own_source(step):
+def test_each_agent_uses_its_own_source():
     rng = np.random.default_rng(64)
     blend = rng.uniform(0.1, 0.9, (3, 3))
     law = make_law(3, rng, acceleration_source=np.array(EACH_SOURCE), acceleration_blend=blend)
@@ -221,8 +218,7 @@ def test_each_agent_uses_its_own_source(step):
     assert after.acceleration[2] == pytest.approx(turn[2], rel=1e-12)
 
 
-@each_engine
-def test_an_average_takes_every_message_once(step):
+def test_an_average_takes_every_message_once():
     """However often the law steps between two messages; the first counts too."""
     rng = np.random.default_rng(74)
     law = make_law(2, rng, acceleration_source=np.full(2, leading.BROADCAST))
@@ -235,8 +231,7 @@ def test_an_average_takes_every_message_once(step):
     assert np.array_equal(twice.acceleration, once.acceleration)
 
 
-@each_engine
-def test_leader_acceleration_enters_only_p_d_rate(step):
+def test_leader_acceleration_enters_only_p_d_rate():
     """q̈_g enters ṗ_d and nothing else: s_d and y_d stay, u and ω move with it."""
     rng = np.random.default_rng(65)
     law = make_law(2, rng, acceleration_blend=np.ones((2, 3)))
@@ -275,8 +270,7 @@ def test_course_acceleration_is_derivative_of_rate():
     assert ours[0] == pytest.approx(difference, abs=1e-9)
 
 
-@each_engine
-def test_a_leader_that_rolls_in_is_anticipated(step):
+def test_a_leader_that_rolls_in_is_anticipated():
     """By hand: level north at 22 m/s, wings level, rolling right at 0.4 rad/s.
 
     σ̈_g = 9.81·0.4/22 = 0.178364 rad/s², and χ̈ = ω̇_g × υ = (−σ̈ r, σ̈ f) for a slot f ahead
@@ -321,8 +315,7 @@ def test_a_leader_that_rolls_in_is_anticipated(step):
     assert neglected.omega == pytest.approx(np.zeros((2, 3)), abs=1e-15)
 
 
-@each_engine
-def test_differences_of_turn_rates_by_hand(step):
+def test_differences_of_turn_rates_by_hand():
     """By hand: level north at 22 m/s, 0.10 → 0.12 rad/s in 0.05 s is 0.4 rad/s²; share 0.25.
 
     With an average of 0.2 rad/s² before, σ̈_g = 0.25 rad/s², and χ̈ = ω_g × (ω_g × υ) + ω̇_g × υ;

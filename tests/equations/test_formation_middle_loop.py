@@ -7,9 +7,9 @@ from formation_cases import (
     HIGH,
     LOW,
     choose,
-    each_loop,
     leaves,
     make_middle,
+    middle,
     middle_states,
     results,
 )
@@ -85,16 +85,14 @@ def integrals(**args):
     return memory._replace(**{name: np.array([value]) for name, value in args.items()})
 
 
-@each_loop
-def test_nothing_to_do_is_trim(middle):
+def test_nothing_to_do_is_trim():
     command, memory, flags = run(middle)
     assert (command.pitch[0], command.roll[0], command.throttle[0]) == (0.0, 0.0, 0.22)
     assert all(float(value[0]) == 0.0 for value in memory)
     assert not flags
 
 
-@each_loop
-def test_19_by_hand(middle):
+def test_19_by_hand():
     # 0.10 − 1.5 (0.04 − 0.10) − 0.2·0.3 − 0.1 (0.05 − 0.02) = 0.10 + 0.09 − 0.06 − 0.003
     command, memory, _ = run(
         middle,
@@ -108,8 +106,7 @@ def test_19_by_hand(middle):
     assert memory.gamma[0] == pytest.approx(0.3 - 0.04 * 0.06, abs=1e-16)
 
 
-@each_loop
-def test_20_by_hand(middle):
+def test_20_by_hand():
     # tan φ = 0.1·20·cos(0.2)/9.81; then − 4 (0.02 − 0.05) − 0.02·1.5 − 0.5 (0.08 − 0.10)
     command, memory, _ = run(
         middle,
@@ -126,16 +123,14 @@ def test_20_by_hand(middle):
     assert memory.course[0] == pytest.approx(1.5 - 0.04 * 0.03, abs=1e-15)
 
 
-@each_loop
-def test_a_steady_turn_needs_no_feedback(middle):
+def test_a_steady_turn_needs_no_feedback():
     # tan φ = V σ̇/g: 120 m radius at 22 m/s is 22.35°
     turn = 22.0 / 120.0
     command, _, _ = run(middle, speed=22.0, chi_dot=turn, chi_dot_desired=turn)
     assert np.degrees(command.roll[0]) == pytest.approx(22.35, abs=0.01)
 
 
-@each_loop
-def test_21_by_hand(middle):
+def test_21_by_hand():
     # 0.22 + 0.12 (1/cos² 60° − 1) + 0.1 (24 − 22) − 0.15·(−0.4) − 0.02·3
     command, memory, _ = run(
         middle, integrals(speed=3.0), bank=np.pi / 3.0, airspeed=23.6, airspeed_command=24.0
@@ -144,8 +139,7 @@ def test_21_by_hand(middle):
     assert memory.speed[0] == pytest.approx(3.0 - 0.04 * 0.4, abs=1e-15)
 
 
-@each_loop
-def test_the_course_error_takes_the_short_way_round(middle):
+def test_the_course_error_takes_the_short_way_round():
     # 179° and −179° are 2° apart, whichever is which
     near, far = np.radians(179.0), np.radians(-179.0)
     command, memory, _ = run(middle, course=near, course_desired=far)
@@ -178,10 +172,9 @@ every_channel = pytest.mark.parametrize("channel", [*CASES, "altitude"])
 LARGE = {"airspeed": 10.0, "altitude": 50.0, "gamma": 0.5, "course": 0.5}
 
 
-@each_loop
 @every_channel
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_commands_saturate_and_their_integrals_wait(middle, channel, sign):
+def test_commands_saturate_and_their_integrals_wait(channel, sign):
     channel, loop, integral, flag, low, high, error = saturating(channel)
     wrong = {error: CALM[error] - sign * LARGE[error]}
     command, memory, flags = run(middle, loop=loop, **wrong)
@@ -190,10 +183,9 @@ def test_commands_saturate_and_their_integrals_wait(middle, channel, sign):
     assert getattr(memory, integral)[0] == 0.0  # it would have pushed further
 
 
-@each_loop
 @every_channel
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_integral_at_a_command_limit_unwinds(middle, channel, sign):
+def test_integral_at_a_command_limit_unwinds(channel, sign):
     channel, loop, integral, flag, low, high, error = saturating(channel)
     wound = integrals(**{integral: -sign * 1000.0})
     command, memory, flags = run(middle, wound, loop, **{error: CALM[error] + sign * 0.01})
@@ -202,14 +194,12 @@ def test_integral_at_a_command_limit_unwinds(middle, channel, sign):
     assert getattr(memory, integral)[0] == pytest.approx(sign * (-1000.0 + 0.04 * 0.01), abs=1e-12)
 
 
-@each_loop
-def test_flags_add_up(middle):
+def test_flags_add_up():
     _, _, flags = run(middle, gamma=-1.0, course=-1.0, airspeed=42.0)
     assert flags == Saturation.PITCH | Saturation.ROLL | Saturation.THROTTLE
 
 
-@each_loop
-def test_saturated_commands_are_flagged(middle):
+def test_saturated_commands_are_flagged():
     rng = np.random.default_rng(34)
     command, _, diagnosis = middle(make_middle(200, roll_limit=0.3), *middle_states(200, rng))
     rolled = (diagnosis.saturations & Saturation.ROLL) != 0
@@ -217,8 +207,7 @@ def test_saturated_commands_are_flagged(middle):
     assert 0 < rolled.sum() < 200
 
 
-@each_loop
-def test_the_derivative_acts_on_the_error_of_the_rate(middle):
+def test_the_derivative_acts_on_the_error_of_the_rate():
     # a rate that is as desired costs nothing, however large
     command, _, _ = run(middle, gamma_dot=0.3, gamma_dot_desired=0.3)
     assert command.pitch[0] == pytest.approx(0.0, abs=1e-16)
@@ -227,8 +216,7 @@ def test_the_derivative_acts_on_the_error_of_the_rate(middle):
 # the guard on the commanded airspeed
 
 
-@each_loop
-def test_the_commanded_airspeed_stays_in_the_bounds(middle):
+def test_the_commanded_airspeed_stays_in_the_bounds():
     rng = np.random.default_rng(25)
     own, inputs, memory = middle_states(400, rng)
     _, _, diagnosis = middle(make_middle(400), own, inputs, memory)
@@ -246,8 +234,7 @@ def test_the_commanded_airspeed_stays_in_the_bounds(middle):
     assert np.array_equal(diagnosis.speed_desired, inputs.speed_desired)
 
 
-@each_loop
-def test_the_command_is_what_throttle_flies(middle):
+def test_the_command_is_what_throttle_flies():
     # at a command of 40 m/s both parts of (21) see the bound of 30
     gentle = make_middle(1, speed_p=0.01, eta_speed=0.02)
     command, memory, _ = run(middle, loop=gentle, airspeed=29.0, airspeed_command=40.0)
@@ -255,9 +242,8 @@ def test_the_command_is_what_throttle_flies(middle):
     assert memory.speed[0] == pytest.approx(-0.04, abs=1e-15)
 
 
-@each_loop
 @pytest.mark.parametrize("wind", [0.0, 5.0])
-def test_the_two_readings_of_21_differ_by_the_wind(middle, wind):
+def test_the_two_readings_of_21_differ_by_the_wind(wind):
     """As printed, s_a − u asks for u in the air; the other asks for u over the ground."""
     p_only = {"speed_i": 0.0, "speed_p": 0.01, "eta_speed": 0.0, "eta_bank": 0.0}
     flight = {"airspeed": 20.0 + wind, "airspeed_command": 21.0 + wind}
@@ -271,8 +257,7 @@ def test_the_two_readings_of_21_differ_by_the_wind(middle, wind):
 # what the paper has not
 
 
-@each_loop
-def test_the_altitude_hold_by_hand(middle):
+def test_the_altitude_hold_by_hand():
     # 4 m too high, climbing 20 sin 0.1: − 0.026·4 − 0.0017·2 − 0.0105·20 sin 0.1
     command, memory, flags = run(middle, integrals(altitude=2.0), HELD, altitude=104.0, gamma=0.1)
     sinking = -0.026 * 4.0 - 0.0017 * 2.0 - 0.0105 * 20.0 * np.sin(0.1)
@@ -281,8 +266,7 @@ def test_the_altitude_hold_by_hand(middle):
     assert not flags
 
 
-@each_loop
-def test_altitude_hold_ignores_the_laws_pitch(middle):
+def test_altitude_hold_ignores_the_laws_pitch():
     """What the law says of climbing changes no pitch, and its integral of (19) stays at rest."""
     calm, memory, _ = run(middle, integrals(gamma=0.7), HELD, altitude=103.0)
     asked, _, _ = run(
@@ -300,8 +284,7 @@ def test_altitude_hold_ignores_the_laws_pitch(middle):
     assert memory.altitude[0] == 3.0
 
 
-@each_loop
-def test_the_incidence_is_fed_forward(middle):
+def test_the_incidence_is_fed_forward():
     # θ = γ + 3°: the pitch that is held is the pitch that is asked for, and errors come on top
     loop = make_middle(1, incidence=1.0)
     attitude = 0.1 + np.radians(3.0)
@@ -312,16 +295,14 @@ def test_the_incidence_is_fed_forward(middle):
     assert command.pitch[0] == pytest.approx(attitude + 0.05 + 1.5 * 0.05, abs=1e-15)
 
 
-@each_loop
-def test_a_bank_takes_more_incidence(middle):
+def test_a_bank_takes_more_incidence():
     # 60° of bank is one load factor more than level
     loop = make_middle(1, turn_incidence=np.radians(4.0))
     command, _, _ = run(middle, loop=loop, bank=-np.pi / 3.0)
     assert command.pitch[0] == pytest.approx(np.radians(4.0), abs=1e-14)
 
 
-@each_loop
-def test_a_climb_takes_more_throttle(middle):
+def test_a_climb_takes_more_throttle():
     # 0.4 of throttle per sine of the angle that is asked for, whatever is flown
     loop = make_middle(1, eta_climb=0.4)
     command, _, _ = run(middle, loop=loop, gamma_desired=np.pi / 6.0, gamma=0.5)
@@ -332,9 +313,8 @@ def bank_of(turn, speed=20.0):
     return np.arctan(turn * speed / 9.81)
 
 
-@each_loop
 @pytest.mark.parametrize("time_constant", [0.0, 0.12])
-def test_the_bank_of_a_turn_is_led(middle, time_constant):
+def test_the_bank_of_a_turn_is_led(time_constant):
     """By hand: the first step knows no rate, the second takes its filtered part of it."""
     loop = make_middle(1, roll_lead=0.5, lead_filter=time_constant, course_d=0.0)
     command, memory, _ = run(middle, loop=loop, chi_dot_desired=0.10)
@@ -349,8 +329,7 @@ def test_the_bank_of_a_turn_is_led(middle, time_constant):
     assert memory.turn_bank_rate[0] == pytest.approx((1.0 - part) * rate, abs=1e-14)
 
 
-@each_loop
-def test_a_lead_is_the_turn_of_later(middle):
+def test_a_lead_is_the_turn_of_later():
     """A bank that grows steadily is commanded as it will be roll_lead later."""
     lead, roll_rate = 0.3, 0.4
     loop = make_middle(1, roll_lead=lead, lead_filter=0.1, course_d=0.0)
@@ -364,8 +343,7 @@ def test_a_lead_is_the_turn_of_later(middle):
             assert command.roll[0] == pytest.approx(later, abs=1e-5)
 
 
-@each_loop
-def test_measured_rates_are_averaged_from_the_first_on(middle):
+def test_measured_rates_are_averaged_from_the_first_on():
     # 0.04/(0.04 + 0.06) of a new sample
     loop = make_middle(1, rate_filter=0.06)
     _, memory, _ = run(middle, loop=loop, chi_dot=0.2, gamma_dot=-0.1)
@@ -377,8 +355,7 @@ def test_measured_rates_are_averaged_from_the_first_on(middle):
     assert command.pitch[0] == pytest.approx(-0.1 * -0.02, abs=1e-15)
 
 
-@each_loop
-def test_without_a_filter_rates_are_those_measured_now(middle):
+def test_without_a_filter_rates_are_those_measured_now():
     memory = integrals(chi_dot=5.0, gamma_dot=-5.0)
     _, memory, _ = run(middle, memory, chi_dot=0.3, gamma_dot=0.1)
     assert (memory.chi_dot[0], memory.gamma_dot[0]) == pytest.approx((0.3, 0.1), abs=1e-15)
@@ -404,8 +381,7 @@ def mixed(n, rng):
     return make_middle(n, altitude=holds, rate_filter=rng.uniform(0.0, 0.1, n), **more)
 
 
-@each_loop
-def test_an_agent_alone_is_the_same_agent_in_a_crowd(middle):
+def test_an_agent_alone_is_the_same_agent_in_a_crowd():
     rng = np.random.default_rng(29)
     loop, args = mixed(7, rng), middle_states(7, rng)
     together = results(middle(loop, *args))
@@ -415,8 +391,7 @@ def test_an_agent_alone_is_the_same_agent_in_a_crowd(middle):
             np.testing.assert_array_equal(array[0], together[name][i], err_msg=name)
 
 
-@each_loop
-def test_step_does_not_write_its_arguments(middle):
+def test_step_does_not_write_its_arguments():
     rng = np.random.default_rng(31)
     args = (mixed(4, rng), *middle_states(4, rng))
     before = [{name: np.copy(a) for name, a in leaves(record)} for record in args]

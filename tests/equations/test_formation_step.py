@@ -6,22 +6,22 @@ import numpy as np
 import pytest
 from formation_cases import (
     HIGH,
-    LOOP_ENGINES,
     LOW,
     NOW,
     PAPERS_MU,
     assert_same,
     choose,
-    each_engine,
     leaves,
     make_law,
     make_middle,
+    middle,
     mixed_options,
     reorder,
     results,
     same,
     some_of,
     states,
+    step,
 )
 from reference import formation_barrier as barrier_functions
 from reference import formation_control_function as control_functions
@@ -39,8 +39,7 @@ from testbed.formation.law import LimiterFlag
 NORTH = np.array([1.0, 0.0, 0.0])
 
 
-@each_engine
-def test_without_delay_receipt_equals_timestamp(step):
+def test_without_delay_receipt_equals_timestamp():
     rng = np.random.default_rng(20)
     law = make_law(3, rng)
     own, inbox, memory = states(3, rng)
@@ -50,8 +49,7 @@ def test_without_delay_receipt_equals_timestamp(step):
     assert_same(ours, theirs, rtol=0, atol=0)
 
 
-@each_engine
-def test_without_gains_leader_velocity_is_followed(step):
+def test_without_gains_leader_velocity_is_followed():
     # β_i = 0 removes only the position feedback: (7), (10), (22) use the leader's message
     rng = np.random.default_rng(23)
     law = make_law(2, rng, gains=np.zeros((2, 3, 3)), offsets=np.zeros((3, 3)))
@@ -83,8 +81,7 @@ def followers_of_velocity(n, rng, **changes):
     return make_law(n, rng, gains=np.zeros((n, n + 1, 3)), offsets=np.zeros((n + 1, 3)), **changes)
 
 
-@each_engine
-def test_limiter_flags_report_limits(step):
+def test_limiter_flags_report_limits():
     rng = np.random.default_rng(24)
     law = followers_of_velocity(3, rng)
     # within all limits; leader too slow; own speed beyond the bound
@@ -101,8 +98,7 @@ def test_limiter_flags_report_limits(step):
     assert output.limiter_flags.dtype == np.uint8
 
 
-@each_engine
-def test_airspeed_bounds_are_shifted_by_the_wind(step):
+def test_airspeed_bounds_are_shifted_by_the_wind():
     """7 m/s of headwind: 22 m/s of the leader over the ground are 29 m/s of airspeed."""
     rng = np.random.default_rng(46)
     ground = followers_of_velocity(2, rng)
@@ -123,8 +119,7 @@ def test_airspeed_bounds_are_shifted_by_the_wind(step):
     assert_same(ours, theirs, rtol=1e-13, atol=0)
 
 
-@each_engine
-def test_turn_gain_grows_with_desired_speed_squared(step):
+def test_turn_gain_grows_with_desired_speed_squared():
     """c = 0.05 + 3e-4·22²; flying straight where y_d lies across, (15) is c itself."""
     rng = np.random.default_rng(47)
     law = followers_of_velocity(2, rng, c=same(0.05, 2), c_speed=np.array([0.0, 3e-4]))
@@ -134,8 +129,7 @@ def test_turn_gain_grows_with_desired_speed_squared(step):
     assert output.omega[:, 2] == pytest.approx([0.05, 0.05 + 3e-4 * 484.0], abs=1e-15)
 
 
-@each_engine
-def test_followers_with_different_options(step):
+def test_followers_with_different_options():
     """Each follower steps as in a law whose followers all have its options."""
     rng = np.random.default_rng(48)
     functions = [PAPERS_MU, example_1(2.5e5, 1.0, 0.8), EXAMPLE_2, EXAMPLE_3]
@@ -189,11 +183,9 @@ def helix(n, gamma, turn, sigma, offsets):
 SLOTS = np.array([[0.0, 0.0, 0.0], [-5.0, 5.0, 0.0], [-5.0, -5.0, -4.0], [9.0, 0.0, 4.0]])
 
 
-@each_engine
-@pytest.mark.parametrize("middle", LOOP_ENGINES.values(), ids=LOOP_ENGINES)
 @pytest.mark.parametrize("source", [leading.BROADCAST, leading.TURN], ids=["broadcast", "turn"])
 @pytest.mark.parametrize("gamma", [0.0, 0.3, -0.25])
-def test_follower_in_its_slot_commands_a_steady_helix(step, middle, source, gamma):
+def test_follower_in_its_slot_commands_a_steady_helix(source, gamma):
     """Leader and slots turn about one axis, so every rate is known and every error is zero.
 
     Then s_d = s, u = s, y_d = y and ω is the rate of the follower's own helix. Of the middle loop,
@@ -253,8 +245,7 @@ def test_follower_in_its_slot_commands_a_steady_helix(step, middle, source, gamm
 # symmetries
 
 
-@each_engine
-def test_order_of_followers_has_no_effect(step):
+def test_order_of_followers_has_no_effect():
     rng = np.random.default_rng(28)
     n, order = 5, np.array([3, 0, 4, 1, 2])
     for _ in range(20):
@@ -275,8 +266,7 @@ def reorder_at(now, law, own, inbox, memory, order):
     return law, now, *known
 
 
-@each_engine
-def test_one_follower_steps_as_among_others(step):
+def test_one_follower_steps_as_among_others():
     """To the bit, with the same messages of the others."""
     rng = np.random.default_rng(29)
     n = 7
@@ -290,8 +280,7 @@ def test_one_follower_steps_as_among_others(step):
                 np.testing.assert_array_equal(array, together[name][rows], err_msg=name)
 
 
-@each_engine
-def test_rotation_about_the_vertical_and_translation(step):
+def test_rotation_about_the_vertical_and_translation():
     rng = np.random.default_rng(30)
     n, angle, shift = 4, 2.2, np.array([300.0, -700.0, 40.0])
     c, s = np.cos(angle), np.sin(angle)
@@ -331,8 +320,7 @@ def test_rotation_about_the_vertical_and_translation(step):
 # purity
 
 
-@each_engine
-def test_step_modifies_no_input(step):
+def test_step_modifies_no_input():
     rng = np.random.default_rng(31)
     law = make_law(3, rng, **mixed_options(3, rng))
     args = (law, *states(3, rng, never=0.2))
@@ -343,8 +331,7 @@ def test_step_modifies_no_input(step):
             np.testing.assert_array_equal(array, copies[name], err_msg=name)
 
 
-@each_engine
-def test_step_uses_only_the_followers_own_row(step):
+def test_step_uses_only_the_followers_own_row():
     """A change of one follower's inputs changes only its own command."""
     rng = np.random.default_rng(32)
     n = 4

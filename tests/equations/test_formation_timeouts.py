@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from formation_cases import (
-    LOOP_ENGINES,
     NOW,
     assert_same,
-    each_engine,
     flags,
     make_law,
     make_middle,
+    middle,
     mixed_options,
     results,
     same,
     states,
+    step,
 )
 from reference.formation_message_extrapolation import times
 from reference.frames import velocity_frame
@@ -40,9 +40,8 @@ def drop_messages(inbox, links, way):
     return dropped_inbox
 
 
-@each_engine
 @each_way
-def test_leader_timeout_flies_level_and_straight(step, way):
+def test_leader_timeout_flies_level_and_straight(way):
     rng = np.random.default_rng(21)
     law = make_law(3, rng, lost_leader_airspeed=np.array([20.0, 21.0, 22.0]))
     own, inbox, memory = states(3, rng, low=20.0, high=24.0)
@@ -71,10 +70,8 @@ def test_leader_timeout_flies_level_and_straight(step, way):
     assert not (inputs.limiter_flags[[0, 2]] & LimiterFlag.LEADER_TIMEOUT).any()
 
 
-@each_engine
 @each_way
-@pytest.mark.parametrize("middle", LOOP_ENGINES.values(), ids=LOOP_ENGINES)
-def test_leader_timeout_turns_at_the_set_rate(step, middle, way):
+def test_leader_timeout_turns_at_the_set_rate(way):
     """Level flight at 22 m/s, 20° of bank: σ̇ = g tan 20°/22; (20) banks for that rate."""
     rng = np.random.default_rng(67)
     rate = 9.81 * np.tan(np.radians(20.0)) / 22.0
@@ -102,10 +99,9 @@ def test_leader_timeout_turns_at_the_set_rate(step, middle, way):
     assert (diagnosis.limiter_flags == LimiterFlag.LEADER_TIMEOUT).all()
 
 
-@each_engine
 @each_way
 @pytest.mark.parametrize("rate", [0.0, 0.15])
-def test_course_in_a_timeout_is_that_at_its_start(step, way, rate):
+def test_course_in_a_timeout_is_that_at_its_start(way, rate):
     """Blown off it, or left with a bank, a follower turns back; in a circle it keeps its phase."""
     rng = np.random.default_rng(73)
     law = make_law(2, rng, lost_leader_turn_rate=same(rate, 2))
@@ -135,9 +131,8 @@ def test_course_in_a_timeout_is_that_at_its_start(step, way, rate):
     assert np.isnan(received.timeout_course).all()
 
 
-@each_engine
 @each_way
-def test_return_to_level_uses_gain_of_trim_speed(step, way):
+def test_return_to_level_uses_gain_of_trim_speed(way):
     """c_i(t) = c + c_s s_d², with the s_d of a leader timeout."""
     rng = np.random.default_rng(68)
     law = make_law(2, rng, c=same(0.02, 2), c_speed=np.array([0.0, 4e-4]))
@@ -149,8 +144,7 @@ def test_return_to_level_uses_gain_of_trim_speed(step, way):
     assert inputs.omega[:, 1] == pytest.approx(-gain * np.sin(0.2), rel=1e-12)
 
 
-@each_engine
-def test_messages_older_than_the_timeout_are_old(step):
+def test_messages_older_than_the_timeout_are_old():
     """By the time of receipt, whatever their stamps; exactly `leader_timeout_s` is not too old."""
     rng = np.random.default_rng(69)
     law = make_law(3, rng, leader_timeout_s=2.0)
@@ -161,9 +155,8 @@ def test_messages_older_than_the_timeout_are_old(step):
     assert (inputs.limiter_flags & LimiterFlag.LEADER_TIMEOUT != 0).tolist() == [False, True, False]
 
 
-@each_engine
 @each_way
-def test_stale_neighbour_is_left_out_of_sum(step, way):
+def test_stale_neighbour_is_left_out_of_sum(way):
     rng = np.random.default_rng(22)
     law = make_law(3, rng, gains=rng.uniform(0.5, 1.0, (3, 4, 3)), neighbour_timeout_s=4.0)
     own, inbox, memory = states(3, rng)
@@ -176,8 +169,7 @@ def test_stale_neighbour_is_left_out_of_sum(step, way):
     assert abs(ours["inputs.direction"][0] - received.direction[0]).max() > 1e-3
 
 
-@each_engine
-def test_leader_memory_in_a_leader_timeout(step):
+def test_leader_memory_in_a_leader_timeout():
     """Averages are kept, differences begin with the first message after the timeout."""
     rng = np.random.default_rng(70)
     sources = [leading.BROADCAST, leading.TURN]
@@ -192,8 +184,7 @@ def test_leader_memory_in_a_leader_timeout(step):
     assert np.array_equal(again.time_s, times(inbox, law.from_timestamp)[:, 0])
 
 
-@each_engine
-def test_after_a_timeout_the_law_is_the_same_again(step):
+def test_after_a_timeout_the_law_is_the_same_again():
     """To the bit, without averages of q̈_g and ω̇_g, which lack the lost messages."""
     rng = np.random.default_rng(71)
     options = {**mixed_options(3, rng), "acceleration_blend": np.ones((3, 3))}
@@ -211,8 +202,7 @@ def test_after_a_timeout_the_law_is_the_same_again(step):
         np.testing.assert_array_equal(ours, theirs, err_msg=name)
 
 
-@each_engine
-def test_a_leader_that_is_mute_for_two_seconds(step):
+def test_a_leader_that_is_mute_for_two_seconds():
     """Muted in [1, 3) s: timed out 0.5 s after the message of 0.96 s, received again at 3 s."""
     rng = np.random.default_rng(72)
     n = 2
@@ -262,8 +252,7 @@ def all_present(n, rng, **changes):
     return law, own, inbox, memory
 
 
-@each_engine
-def test_new_message_updates_the_held_position(step):
+def test_new_message_updates_the_held_position():
     rng = np.random.default_rng(80)
     law, own, inbox, memory = all_present(4, rng, horizontal=np.arange(4) % 2 == 0)
     law.gains[1, 3] = 0.0
@@ -282,9 +271,8 @@ def test_new_message_updates_the_held_position(step):
     np.testing.assert_array_equal(dropped.held_time_s, memory.held_time_s)
 
 
-@each_engine
 @pytest.mark.parametrize("from_timestamp", [False, True])
-def test_message_gives_a_held_position_once(from_timestamp, step):
+def test_message_gives_a_held_position_once(from_timestamp):
     """An extrapolation of the same message has left the turn; only its time tells what is new."""
     rng = np.random.default_rng(85)
     law, own, inbox, memory = all_present(3, rng, horizontal=flags(False, 3))
@@ -305,8 +293,7 @@ def test_message_gives_a_held_position_once(from_timestamp, step):
     np.testing.assert_array_equal(after.held_time_s[:, 3], said_s[:, 3])
 
 
-@each_engine
-def test_held_position_is_that_at_the_step(step):
+def test_held_position_is_that_at_the_step():
     """As reckoned then: both are brought to now along their velocities, from their receipt."""
     rng = np.random.default_rng(86)
     straight = {"with_acceleration": flags(False, 3), "horizontal": flags(False, 3)}
@@ -320,8 +307,7 @@ def test_held_position_is_that_at_the_step(step):
     np.testing.assert_allclose(after.held_position, expected, rtol=1e-13, atol=1e-13)
 
 
-@each_engine
-def test_neighbour_is_extrapolated_then_held(step):
+def test_neighbour_is_extrapolated_then_held():
     """Exactly `neighbour_timeout_s` is not too old; the leader's message has its own limit."""
     rng = np.random.default_rng(81)
     limits = {"neighbour_timeout_s": 2.0, "leader_timeout_s": 1.0}
@@ -346,8 +332,7 @@ def test_neighbour_is_extrapolated_then_held(step):
     assert_same(results((again, after)), results((held, after)), rtol=0, atol=0)
 
 
-@each_engine
-def test_held_positions_wait_in_leader_timeout(step):
+def test_held_positions_wait_in_leader_timeout():
     """A neighbour first received then has none, and is left out when the leader is back."""
     rng = np.random.default_rng(87)
     limits = {"neighbour_timeout_s": 2.0, "leader_timeout_s": 1.0}
@@ -366,9 +351,8 @@ def test_held_positions_wait_in_leader_timeout(step):
     np.testing.assert_array_equal(later.held_position, memory.held_position)
 
 
-@each_engine
 @each_way
-def test_neighbour_held_in_slot_acts_as_the_leader(step, way):
+def test_neighbour_held_in_slot_acts_as_the_leader(way):
     """Of (6) q_j − χ_j = q_g is left, and of its rate q̇_g: β_ij is added to β_i."""
     rng = np.random.default_rng(82)
     law, own, inbox, memory = all_present(3, rng)
@@ -381,9 +365,8 @@ def test_neighbour_held_in_slot_acts_as_the_leader(step, way):
     assert_same(held._asdict(), pulled._asdict(), rtol=1e-10, atol=1e-10)
 
 
-@each_engine
 @each_way
-def test_held_neighbour_moves_as_a_slot(step, way):
+def test_held_neighbour_moves_as_a_slot(way):
     """Anywhere, it is where a message would have it that says R_g p and its rate by differences."""
     rng = np.random.default_rng(83)
     law, own, inbox, memory = all_present(3, rng)
@@ -411,9 +394,8 @@ def test_held_neighbour_moves_as_a_slot(step, way):
     assert_same(held._asdict(), received._asdict(), rtol=1e-6, atol=1e-6)
 
 
-@each_engine
 @each_way
-def test_neighbour_without_position_is_left_out(step, way):
+def test_neighbour_without_position_is_left_out(way):
     rng = np.random.default_rng(84)
     law, own, inbox, memory = all_present(3, rng)
     memory.held_position[:, 2], memory.held_time_s[:, 2] = np.nan, np.nan

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 from reference import adapters
-from reference import unicycle as reference
 from reference.unicycle import Unicycle, unicycle
+from scipy.spatial.transform import Rotation
 
 from testbed.core.errors import InputError
 from testbed.core.frames import GRAVITY, body_rates, euler_rates, flight_path_angle, wrap_pi
@@ -19,7 +19,6 @@ from testbed.vehicle.unicycle import is_finite, make_unicycles, stop_unicycles
 RATE = 200
 DT = 1.0 / RATE
 STILL = np.zeros(3)
-each_engine = pytest.mark.parametrize("ideal", [reference, adapters], ids=["reference", "kernel"])
 
 
 def velocity_of(speed, course, climb_angle):
@@ -63,8 +62,7 @@ def turning_flight(start, command, pole, turn_rate, course, duration):
 
 
 @pytest.mark.parametrize("duration", [300.0, 3600.0])
-@each_engine
-def test_constant_turn_is_the_closed_form_helix(ideal, duration):
+def test_constant_turn_is_the_closed_form_helix(duration):
     """Four turns, two of them climbing: with the first component of (26) γ stays as it is."""
     speed = np.array([22.0, 16.0, 22.0, 30.0])
     course = np.array([0.3, -2.0, 3.0, 1.0])
@@ -72,11 +70,9 @@ def test_constant_turn_is_the_closed_form_helix(ideal, duration):
     rate = np.array([22.0 / 120.0, -0.4, 0.21, -0.1])
     turn = np.column_stack([-rate * np.sin(gamma), 0.0 * rate, rate * np.cos(gamma)])
     start = np.array([[10.0, -20.0, -100.0]] * 4)
-    if ideal is reference:
-        duration = min(duration, 20.0)
     ticks = round(duration * RATE)
     begun = unicycle(start, velocity_of(speed, course, gamma))
-    state = ideal.advance_ticks(begun, speed, turn, np.full(4, 0.64), DT, ticks)
+    state = adapters.advance_ticks(begun, speed, turn, np.full(4, 0.64), DT, ticks)
 
     angle = course + rate * duration
     radius = speed * np.cos(gamma) / rate
@@ -95,8 +91,7 @@ def test_constant_turn_is_the_closed_form_helix(ideal, duration):
     assert result == pytest.approx(velocity_of(1.0, angle, gamma), abs=1e-10)
 
 
-@each_engine
-def test_speed_is_exact_and_turns_of_fourth_order(ideal):
+def test_speed_is_exact_and_turns_of_fourth_order():
     speed, command, pole, rate, course, duration = 16.0, 28.0, 0.64, 0.35, 0.7, 8.0
     exact = turning_flight(speed, command, pole, rate, course, duration)
     errors = []
@@ -104,7 +99,7 @@ def test_speed_is_exact_and_turns_of_fourth_order(ideal):
         state = unicycle(np.zeros((1, 3)), velocity_of(np.array([speed]), course, 0.0))
         for _ in range(round(duration / step)):
             turn = np.array([[0.0, 0.0, rate]])
-            state = ideal.advance(state, np.array([command]), turn, np.array([pole]), step)
+            state = adapters.advance(state, np.array([command]), turn, np.array([pole]), step)
         after = command + (speed - command) * math.exp(-pole * duration)
         assert state.speed[0] == pytest.approx(after, rel=1e-13)
         errors.append(abs(state.position[0, 0] + 1j * state.position[0, 1] - exact))
@@ -113,15 +108,14 @@ def test_speed_is_exact_and_turns_of_fourth_order(ideal):
     assert orders == pytest.approx(4.0, abs=0.05)
 
 
-@each_engine
-def test_motion_satisfies_the_differential_equations(ideal):
+def test_motion_satisfies_the_differential_equations():
     """Small steps either way: central differences of one flight give (1)-(3)."""
     rng = np.random.default_rng(3)
     n, small = 200, 1e-4
     state, (command, turn) = random_unicycles(rng, n), random_commands(rng, n)
-    pole = rng.uniform(0.3, 1.0, n)
-    after = ideal.advance(state, command, turn, pole, small)
-    before = ideal.advance(state, command, turn, pole, -small)
+    pole, turn[:, 0] = rng.uniform(0.3, 1.0, n), rng.normal(0.0, 0.1, n)
+    after = adapters.advance(state, command, turn, pole, small)
+    before = adapters.advance(state, command, turn, pole, -small)
 
     def slope(name):
         return (getattr(after, name) - getattr(before, name)) / (2.0 * small)
@@ -135,67 +129,63 @@ def test_motion_satisfies_the_differential_equations(ideal):
     assert slope("rotation") == pytest.approx(state.rotation @ skew, abs=1e-7)
 
 
-@each_engine
-def test_signs_of_turns_right_and_up(ideal):
+def test_signs_of_turns_right_and_up():
     state = unicycle(np.zeros((3, 3)), np.array([[20.0, 0.0, 0.0]] * 3))
     turn = np.array([[0.2, 0.0, 0.0], [0.0, 0.2, 0.0], [0.0, 0.0, 0.2]])
-    after = ideal.advance(state, np.full(3, 20.0), turn, np.ones(3), 0.5)
+    after = adapters.advance(state, np.full(3, 20.0), turn, np.ones(3), 0.5)
     s, c = math.sin(0.1), math.cos(0.1)
     assert after.rotation[:, :, 0] == pytest.approx(np.array([[1, 0, 0], [c, 0, -s], [c, s, 0]]))
 
 
-@each_engine
-def test_turn_does_not_depend_on_roll_of_the_frame(ideal):
+def test_turn_does_not_depend_on_roll_of_the_frame():
     """ω comes in the zero-roll frame of y, and R may have rolled: y must not notice."""
     rng = np.random.default_rng(4)
     state, (command, turn) = random_unicycles(rng, 50), random_commands(rng, 50)
-    roll = reference.rotation_by(np.outer(rng.uniform(-3.0, 3.0, 50), [1.0, 0.0, 0.0]))
+    roll = Rotation.from_rotvec(np.outer(rng.uniform(-3.0, 3.0, 50), [1.0, 0.0, 0.0])).as_matrix()
     rolled = state._replace(rotation=state.rotation @ roll)
-    one = ideal.advance(state, command, turn, np.ones(50), 0.1)
-    two = ideal.advance(rolled, command, turn, np.ones(50), 0.1)
+    one = adapters.advance(state, command, turn, np.ones(50), 0.1)
+    two = adapters.advance(rolled, command, turn, np.ones(50), 0.1)
     assert two.position == pytest.approx(one.position, abs=1e-11)
     assert two.rotation[:, :, 0] == pytest.approx(one.rotation[:, :, 0], abs=1e-14)
     assert np.abs(two.rotation[:, :, 1] - one.rotation[:, :, 1]).max() > 0.1
 
 
-@each_engine
-def test_rotations_stay_rotations_for_an_hour(ideal):
+def test_rotations_stay_rotations_for_an_hour():
     rng = np.random.default_rng(5)
     state, pole = random_unicycles(rng, 1), np.array([0.64])
     worst = 0.0
-    for _ in range(5 if ideal is reference else 3600):
-        state = ideal.advance_ticks(state, *random_commands(rng, 1), pole, DT, RATE)
+    for _ in range(3600):
+        state = adapters.advance_ticks(state, *random_commands(rng, 1), pole, DT, RATE)
         worst = max(worst, orthonormality(state))
     assert worst < 1e-12
     assert np.linalg.det(state.rotation[0]) == pytest.approx(1.0, abs=1e-12)
 
 
-@each_engine
-def test_spoilt_frame_returns_to_a_rotation(ideal):
+def test_spoilt_frame_returns_to_a_rotation():
     """The Newton step, where the rounding it is there for is made a million times larger."""
     rng = np.random.default_rng(6)
     state = random_unicycles(rng, 20)
     spoilt = state._replace(rotation=state.rotation + rng.normal(0.0, 1e-8, (20, 3, 3)))
     assert orthonormality(spoilt) > 1e-9
     for turn in (np.zeros((20, 3)), rng.normal(0.0, 400.0, (20, 3))):
-        after = ideal.advance(spoilt, state.speed, turn, np.ones(20), DT)
+        after = adapters.advance(spoilt, state.speed, turn, np.ones(20), DT)
         assert orthonormality(after) < 1e-14
 
 
-@each_engine
-def test_ticks_are_steps(ideal):
+def test_ticks_are_steps():
     rng = np.random.default_rng(7)
     state, (command, turn) = random_unicycles(rng, 5), random_commands(rng, 5)
     pole = rng.uniform(0.3, 1.0, 5)
     steps = state
     for _ in range(7):
-        steps = ideal.advance(steps, command, turn, pole, DT)
-    for one, two in zip(steps, ideal.advance_ticks(state, command, turn, pole, DT, 7), strict=True):
+        steps = adapters.advance(steps, command, turn, pole, DT)
+    for one, two in zip(
+        steps, adapters.advance_ticks(state, command, turn, pole, DT, 7), strict=True
+    ):
         np.testing.assert_array_equal(one, two)
 
 
-@each_engine
-def test_reported_motion_is_derivative_of_the_flight(ideal):
+def test_reported_motion_is_derivative_of_the_flight():
     rng = np.random.default_rng(8)
     n, small = 100, 1e-4
     wind = np.array([[3.0, -2.0, 0.5]])
@@ -203,11 +193,11 @@ def test_reported_motion_is_derivative_of_the_flight(ideal):
     pole = rng.uniform(0.3, 1.0, n)
 
     def seen(state):
-        return ideal.report(state, command, turn, pole, wind)
+        return adapters.report(state, command, turn, pole, wind)
 
     now = seen(state)
-    after = seen(ideal.advance(state, command, turn, pole, small))
-    before = seen(ideal.advance(state, command, turn, pole, -small))
+    after = seen(adapters.advance(state, command, turn, pole, small))
+    before = seen(adapters.advance(state, command, turn, pole, -small))
     slope = (after.velocity_ned - before.velocity_ned) / (2.0 * small)
     assert slope == pytest.approx(now.acceleration_ned, abs=1e-6)
 
@@ -355,12 +345,11 @@ def test_unicycles_begin_without_roll():
     assert not records["omega"].any()
 
 
-@each_engine
-def test_a_vertical_flight_has_a_frame(ideal):
+def test_a_vertical_flight_has_a_frame():
     state = unicycle(np.zeros((2, 3)), np.array([[0.0, 0.0, -20.0], [0.0, 0.0, 20.0]]))
     assert orthonormality(state) < 1e-15
     assert np.linalg.det(state.rotation) == pytest.approx(1.0)
-    for each in ideal.report(state, np.ones(2), np.ones((2, 3)), np.ones(2), STILL):
+    for each in adapters.report(state, np.ones(2), np.ones((2, 3)), np.ones(2), STILL):
         assert np.isfinite(each).all()
 
 
@@ -368,25 +357,3 @@ def test_body_rates_undo_euler_rates():
     rng = np.random.default_rng(9)
     euler, rates = rng.uniform(-1.4, 1.4, (200, 3)), rng.normal(0.0, 1.0, (200, 3))
     assert body_rates(euler, euler_rates(euler, rates)) == pytest.approx(rates, abs=1e-13)
-
-
-def test_the_kernels_do_what_the_reference_does():
-    rng = np.random.default_rng(10)
-    for n in (1, 40):
-        state, (command, turn) = random_unicycles(rng, n), random_commands(rng, n)
-        pole, wind = rng.uniform(0.3, 1.0, n), rng.normal(0.0, 4.0, (n, 3))
-        turn[0] = 0.0  # where sin a / a is 1
-        turn[:, 0] = rng.normal(0.0, 0.1, n)
-        for ticks in (1, 30):
-            ours = reference.advance_ticks(state, command, turn, pole, DT, ticks)
-            theirs = adapters.advance_ticks(state, command, turn, pole, DT, ticks)
-            compare(Unicycle, ours, theirs)
-        expected_report = reference.report(state, command, turn, pole, wind)
-        compare(VehicleState, expected_report, adapters.report(state, command, turn, pole, wind))
-
-
-def compare(kind, ours, theirs):
-    assert isinstance(theirs, kind)
-    for name, one, two in zip(kind._fields, ours, theirs, strict=True):
-        assert two.flags.c_contiguous
-        assert two == pytest.approx(one, rel=1e-12, abs=1e-12), name

@@ -364,3 +364,56 @@ def test_fading_loses_all_copies_of_a_packet():
     assert_counts(np.bincount(outcome, minlength=3), expected)
     assert (sent.copies[:, 0, 0][outcome == PacketOutcome.FADED] == 0).all()
     assert_share(sent.copies[:, 0, 0][outcome == PacketOutcome.DELIVERED] == 2, 0.5)
+
+
+def test_events_of_a_packet_are_independent():
+    """Loss, fading, second copy; of each copy corruption, overtaking and delay.
+
+    No event shares a random number with another: the joint distribution is the product.
+    """
+    loss, fading, twice, corrupt, over = 0.3, 0.2, 0.4, 0.25, 0.45
+    keys = {
+        # steps of this chain are independent: its losses use both random numbers of a loss
+        "loss": {"kind": "gilbert-elliott", "p": 0.5, "r": 0.5, "loss_bad": 2.0 * loss},
+        "delay_s": 1.0,
+        "jitter": {"distribution": "uniform", "spread_s": 0.5},
+    }
+    channel = make(duplicate=twice, corrupt=corrupt, reorder=over, **keys)
+    run = transmit(channel, packets=PACKETS, period_s=3.0, fading=np.full((1, 2), fading))
+    outcome, copies = run.outcome[:, 0, 0], run.copies[:, 0, 0]
+    delay = np.stack([run.received_s[:, 0, 0], run.second_s[:, 0, 0]]) - run.sent_s[:, 0]
+    good, both = 1.0 - corrupt, twice * (1.0 - corrupt) ** 2
+    one = (1.0 - twice) * good + 2.0 * twice * good * corrupt
+    delivered = (1.0 - loss) * (1.0 - fading) * np.array([one, both])
+    # what each delivered copy did: the first to arrive overtook, unless no copy did
+    overtook = (delay == 0.0).sum(axis=0)
+    cells = {
+        (PacketOutcome.LOST, 0, 0): loss,
+        (PacketOutcome.FADED, 0, 0): (1.0 - loss) * fading,
+        (PacketOutcome.CORRUPTED, 0, 0): (1.0 - loss) * (1.0 - fading) * (1.0 - one - both),
+        (PacketOutcome.DELIVERED, 1, 0): delivered[0] * (1.0 - over),
+        (PacketOutcome.DELIVERED, 1, 1): delivered[0] * over,
+        (PacketOutcome.DELIVERED, 2, 0): delivered[1] * (1.0 - over) ** 2,
+        (PacketOutcome.DELIVERED, 2, 1): delivered[1] * 2.0 * over * (1.0 - over),
+        (PacketOutcome.DELIVERED, 2, 2): delivered[1] * over**2,
+    }
+    seen = [
+        np.sum((outcome == why) & (copies == count) & (overtook == k)) for why, count, k in cells
+    ]
+    assert sum(seen) == PACKETS
+    assert_counts(seen, list(cells.values()))
+    late = delay[0][(copies == 1) & (overtook == 0)]
+    assert_chance(stats.kstest(late, stats.uniform(0.5, 1.0).cdf).pvalue)
+
+
+@pytest.mark.parametrize("arithmetic", ["exact", "netem"])
+def test_trace_alone_decides_losses(arithmetic):
+    """Duplicates and queues after a packet that the trace loses; no loss but the trace's."""
+    rate = {"bit_per_s": per_second(100), "queue_packets": 3}
+    channel = make(duplicate=1.0, loss=0.5, rate=rate, arithmetic=arithmetic)
+    lost = np.arange(200) % 5 == 2
+    delay = np.where(lost, np.inf, 0.04)
+    run = transmit(channel, packets=200, period_s=0.1, trace_delay_s=delay)
+    expected = np.where(lost, PacketOutcome.LOST, PacketOutcome.DELIVERED)
+    assert np.array_equal(run.outcome[:, 0, 0], expected)
+    assert np.array_equal(run.copies[:, 0, 0], np.where(lost, 0, 2))

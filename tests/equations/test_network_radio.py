@@ -276,6 +276,38 @@ def test_unsubscribed_links_are_not_counted():
     assert some.summary()["all"]["sent"] == 3 * 61
 
 
+@pytest.mark.parametrize("arithmetic", ["exact", "netem"])
+def test_corrupted_copies_would_have_arrived(arithmetic):
+    """Their times are those of the same packets on a link that corrupts none."""
+    keys = {
+        "delay_s": 0.1,
+        "jitter": {"distribution": "uniform", "spread_s": 0.05},
+        **{"loss": 0.3, "duplicate": 0.4, "reorder": 0.2, "arithmetic": arithmetic},
+    }
+    losses = ExtraLosses(
+        outages=lambda sent_s, rows, numbers: np.full(
+            (FOLLOWERS, len(rows)), PacketOutcome.BLACKOUT * (numbers[0] % 5 == 0), np.uint8
+        ),
+        fading=lambda truth, rows: np.full((FOLLOWERS, len(rows)), 0.2),
+    )
+    some, none = (
+        Radio(make_channel(resolve_links(NAMES, Network.model_validate(each)), 1), losses)
+        for each in ({**keys, "corrupt": 0.4}, keys)
+    )
+    corrupted = 0
+    for k in range(200):
+        now = k * PERIOD
+        clean = none.send(np.full(N, now), broadcast(now), None)
+        packets = some.send(np.full(N, now), broadcast(now), None)
+        arrival_s, corrupted_s = packets["arrival_s"], packets["corrupted_s"]
+        assert np.array_equal(np.minimum(arrival_s, corrupted_s), clean["arrival_s"])
+        assert (np.maximum(arrival_s, corrupted_s) == np.inf).all()
+        hit = np.isfinite(corrupted_s).any(axis=2)
+        assert hit[packets["outcome"] == PacketOutcome.CORRUPTED].all()
+        corrupted += np.isfinite(corrupted_s).sum()
+    assert corrupted > 100
+
+
 def test_debug_mode_gives_the_same_messages():
     """Kernels as Python: the same numbers, to rounding, and no warning of an overflow."""
     sums = [

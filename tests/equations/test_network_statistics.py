@@ -5,8 +5,8 @@ import os
 
 import numpy as np
 import pytest
-from reference.network_queue import bin_of
 
+from testbed.core.compile import entry
 from testbed.network.link_statistics import (
     BINS,
     LONGEST_BURST,
@@ -14,6 +14,7 @@ from testbed.network.link_statistics import (
     initial_statistics,
     outcome_name,
     quantile,
+    record_ages,
     summarise,
 )
 from testbed.network.links import PacketOutcome
@@ -32,6 +33,11 @@ def delivered(statistics, link, delays):
     statistics["delay_min"][link] = min(statistics["delay_min"][link], *delays)
     statistics["delay_max"][link] = max(statistics["delay_max"][link], *delays)
     np.add.at(statistics["delays"], (*link, bin_of(np.array(delays))), 1)
+
+
+def bin_of(seconds):
+    """Bins (...) of durations (...), s, by their ends."""
+    return np.searchsorted(bin_ends(), seconds)
 
 
 def test_summary_has_no_links_to_oneself():
@@ -120,6 +126,29 @@ def test_ages_are_those_of_uses():
     assert (age["max"], age["uses"]) == (0.2, 4)
     assert 0.04 / BIN <= age["p50"] <= 0.04 * BIN
     assert 0.06 < age["p95"] <= 0.2
+
+
+def test_ages_are_recorded_of_the_rows_that_use_them():
+    rng, statistics = np.random.default_rng(6), initial_statistics(3, 4)
+    used = [[[] for _ in range(4)] for _ in range(3)]
+    for _ in range(100):
+        rows = np.flatnonzero(rng.random(3) < 0.7)
+        age_s = np.where(rng.random((3, 4)) < 0.3, np.nan, rng.gamma(1.0, 0.1, (3, 4)))
+        _record_ages(statistics, rows, age_s)
+        for i, m in np.argwhere(~np.isnan(age_s)).tolist():
+            if i in rows:
+                used[i][m].append(age_s[i, m])
+    for i, m in np.ndindex(3, 4):
+        link, ages = statistics[i, m], np.array(used[i][m])
+        assert link["uses"] == len(ages) > 0
+        assert link["age_sum"] == pytest.approx(ages.sum(), rel=1e-12)
+        assert (link["age_min"], link["age_max"]) == (ages.min(), ages.max())
+        assert np.array_equal(link["ages"], np.bincount(bin_of(ages), minlength=BINS))
+
+
+@entry
+def _record_ages(statistics, rows, age_s):
+    record_ages(statistics, rows, age_s)
 
 
 @pytest.mark.parametrize("part", [0.01, 0.5, 0.95, 0.99, 1.0])

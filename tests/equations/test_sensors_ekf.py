@@ -473,6 +473,50 @@ def test_a_lasting_velocity_error_causes_a_reset():
     assert result[10 * HZ, 4] == pytest.approx(40.0, abs=1e-9)
 
 
+def test_a_reset_forgets_what_was_known():
+    """Its covariance is that of a fix, and it is correlated with nothing."""
+    filters = Filters([suite("pixhawk")], STRAIGHT)
+    filters.run(0, 30 * HZ)
+    jump = {"gps_jump": jumped(50.0, -20.0, 0.0)}
+    filters.run(30 * HZ, 40 * HZ, **jump)
+    filters.settings["barometer_hz"] = filters.settings["compass_hz"] = 0
+    filters.step(40 * HZ, airspeed_sampled=np.zeros(1, dtype=bool), **jump)
+    (covariance,) = filters.covariance
+    expected = np.zeros((2, STATES))
+    expected[0, NORTH], expected[1, EAST] = filters.settings["fix_noise"][0, 3:5] ** 2
+    assert np.array_equal(covariance[[NORTH, EAST]], expected)
+    assert np.array_equal(covariance[:, [NORTH, EAST]], expected.T)
+
+
+def test_height_of_the_gps_replaces_the_barometers():
+    """Where it is the source of height, fixes are fused or reset in three axes."""
+    filters = Filters([suite("pixhawk", estimator={"height_source": "gps"})], STRAIGHT)
+    drifting = allocate(ERRORS, 1)
+    drifting["barometer_own"] = 30.0
+    near = filters.run(0, 30 * HZ, errors=drifting, gps_jump=jumped(0.0, 0.0, 3.0))[-1, 0, 8]
+    assert near == pytest.approx(3.0, abs=0.3)
+    far = filters.run(30 * HZ, 41 * HZ, gps_jump=jumped(0.0, 0.0, -200.0))[:, 0, 8]
+    assert abs(far[: 10 * HZ] - near).max() < 0.3
+    assert far[10 * HZ] == pytest.approx(-200.0, abs=0.01)  # less the lag of what was fused
+
+
+def test_slow_air_changes_no_filter():
+    """Airspeed is fused where it is above 1 m/s, sideslip where its part from ahead is.
+
+    The air comes from 45° aside; where the reading is the airspeed, sideslip alone has an effect.
+    """
+    speed, reading = np.array([[0.9, 0.9, 1.1, 1.1, 1.6], [0.5, 0.9, 0.5, 1.1, 1.6]])
+    filters = Filters([only(HZ)] * 5, STRAIGHT)
+    filters.run(0, 75)
+    through = STRAIGHT.rotation[75][:, :2].sum(axis=1) / np.sqrt(2.0)
+    filters.states[:, 3:6] = speed[:, None] * through - STRAIGHT.velocity[75]
+    filters.states[:, 15:] = 0.0
+    new = np.ones(5, dtype=bool)
+    filters.step(75, airspeed=reading, equivalent_airspeed=reading, airspeed_sampled=new)
+    moved = abs(filters.states[:, 15:]).max(axis=1) > 1e-6
+    assert moved.tolist() == [False, False, True, False, True]
+
+
 # Lost and late fixes
 
 
@@ -494,7 +538,7 @@ def test_airspeed_bounds_the_velocity_without_gps():
     result, sigma = np.empty((len(flight), 2 * n, 9)), np.empty(len(flight))
     for k in range(len(flight)):
         errors = np.tile(drawn.advance(), 2)
-        new = filters.sensed(k).airspeed_sampled & measured
+        new = filters.sensed(k)["airspeed_sampled"] & measured
         outage = np.full(2 * n, lost <= k < back)
         result[k] = filters.step(k, errors=errors, gps_lost=outage, airspeed_sampled=new)
         sigma[k] = np.sqrt(np.trace(filters.covariance[0, 3:5, 3:5]))

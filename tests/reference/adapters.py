@@ -1,7 +1,7 @@
 """The kernels of the product behind the signatures of the reference: arrays in, arrays out.
 
 Each function packs its arrays into records, calls the kernel for each agent and unpacks what it
-wrote, so that one test can hold the reference and the kernel to the same assertions.
+wrote, for tests with arrays of agents and for comparisons with the reference.
 """
 
 from __future__ import annotations
@@ -495,19 +495,22 @@ def unicycle_records(state, speed_command, omega, pole):
 
 
 def advance_ticks(state, speed_command, omega, pole, dt, ticks):
-    """As `unicycle.advance_ticks`."""
+    """n unicycles some ticks of dt s later, under commands held meanwhile, [HBH23] eqs. (1)-(4).
+
+    Commands are u (n,) m/s and ω (n, 3) rad/s in the zero-roll velocity frame, which turns.
+    """
     records = unicycle_records(state, speed_command, omega, pole)
     unicycles.advance(records, dt, ticks)
     return Unicycle(*(np.array(records[name]) for name in Unicycle._fields))
 
 
 def advance(state, speed_command, omega, pole, dt):
-    """As `unicycle.advance`."""
+    """As `advance_ticks`, one tick."""
     return advance_ticks(state, speed_command, omega, pole, dt, 1)
 
 
 def report(state, speed_command, omega, pole, wind_ned):
-    """As `unicycle.report`."""
+    """The motion of n unicycles under their commands in a wind (n, 3), as vehicles report it."""
     records, n = unicycle_records(state, speed_command, omega, pole), len(state.speed)
     aircraft = allocate(AIRCRAFT, n)
     aircraft["wind"]["wind_ned"] = wind_ned

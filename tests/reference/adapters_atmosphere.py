@@ -1,8 +1,9 @@
-"""Kernels of the atmosphere with the arguments of the numpy reference, for many points at once."""
+"""Kernels of the atmosphere for many points or aircraft at once."""
+
+from typing import NamedTuple
 
 import numpy as np
 
-from reference.atmosphere_dryden import Filters
 from testbed.atmosphere import dryden, wake
 from testbed.atmosphere.airframe_wind import LOCAL_WIND, write_sample_points
 from testbed.atmosphere.airframe_wind import mean_and_gradient as _mean_and_gradient
@@ -100,6 +101,18 @@ def sample_field(grid, centre, points):
 # ----------------------------------------------------------------------------------- turbulence
 
 
+class Filters(NamedTuple):
+    """One step of N aircraft through M Dryden fields. Axes: 0 lateral with r, 1 vertical with q."""
+
+    decay: np.ndarray  # (N, M + 1) of M longitudinal states and that of p
+    noise: np.ndarray  # (N, M + 1)
+    gain: np.ndarray  # (N, M + 1) m/s, rad/s
+    transition: np.ndarray  # (N, 2, M, 3, 3)
+    root: np.ndarray  # (N, 2, M, 3, 3) lower triangular, root rootᵀ = 1 − transition transitionᵀ
+    speed: np.ndarray  # (N, 2, M, 2) m/s per state
+    rate: np.ndarray  # (N, 2, M, 3) rad/s per state
+
+
 @entry
 def _write_filters(mixture, distance, sigma, length, span, first_order, third_order):
     for i in range(len(distance)):
@@ -126,21 +139,6 @@ def make_filters(spectrum, distance, sigma, length, span):
         *(np.array(first_order[name]) for name in ("decay", "noise", "gain")),
         *(np.array(third_order[name]) for name in ("transition", "root", "speed", "rate")),
     )
-
-
-@entry
-def _advance_filters(first_order, third_order, states, numbers, out):
-    for i in range(len(states)):
-        found = dryden.advance_filters(first_order[i], third_order[i], states[i], numbers[i])
-        for k in range(6):
-            out[i, k] = found[k]
-
-
-def advance_filters(filters, states, numbers):
-    """Turbulence and rates (N, 6) of `filter_records`; the states (N, 7 M + 1) are advanced."""
-    out = np.empty((len(states), 6))
-    _advance_filters(*filters, states, numbers, out)
-    return out
 
 
 @entry

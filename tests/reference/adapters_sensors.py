@@ -1,4 +1,4 @@
-"""Kernels of the sensors with the arguments of the numpy reference, for many aircraft at once."""
+"""Kernels of the sensors for many aircraft or filters at once."""
 
 import numpy as np
 
@@ -10,8 +10,8 @@ from testbed.core.records import (
     fields_of,
     write_fields,
 )
-from testbed.sensors import airspeed, ekf
-from testbed.sensors import errors as sensor_errors
+from testbed.sensors import ekf
+from testbed.sensors.airspeed import AIRSPEED_SENSOR, measure_airspeed, write_airspeeds
 from testbed.sensors.errors import ERRORS
 
 
@@ -37,22 +37,33 @@ def _ekf_steps(settings, filters, past, errors, sensors, aircraft, step, rate_hz
         ekf.ekf_step(*own, errors[m], sensors[m], a.truth, a.faults, step, rate_hz)
 
 
-def ekf_step(settings, filters, past, step, rate_hz, truth, sensed):
+def ekf_step(
+    settings,
+    filters,
+    past,
+    step,
+    rate_hz,
+    truth,
+    *,
+    errors,
+    heading_bias,
+    equivalent_airspeed,
+    airspeed,
+    airspeed_sampled,
+    gps_lost,
+    gps_jump,
+):
     """Step M filters: errors (M, 9) of attitude, velocity and position as flown on."""
     n = len(filters)
-    aircraft, sensors = aircraft_of(truth), allocate(airspeed.AIRSPEED_SENSOR, n)
-    aircraft["faults"]["gps_lost"] = sensed.gps_lost
-    aircraft["faults"]["gps_jump"] = sensed.gps_jump
-    sensors["airspeed"], sensors["equivalent_airspeed"] = (
-        sensed.airspeed,
-        sensed.equivalent_airspeed,
-    )
-    sensors["sampled"] = sensed.airspeed_sampled
-    errors = allocate(ERRORS, n)
-    errors[...] = sensed.errors
+    aircraft, sensors = aircraft_of(truth), allocate(AIRSPEED_SENSOR, n)
+    aircraft["faults"]["gps_lost"], aircraft["faults"]["gps_jump"] = gps_lost, gps_jump
+    sensors["airspeed"], sensors["equivalent_airspeed"] = airspeed, equivalent_airspeed
+    sensors["sampled"] = airspeed_sampled
+    drawn = allocate(ERRORS, n)
+    drawn[...] = errors
     settings = settings.copy()
-    settings["heading_bias"] = sensed.heading_bias
-    _ekf_steps(settings, filters, past, errors, sensors, aircraft, step, rate_hz)
+    settings["heading_bias"] = heading_bias
+    _ekf_steps(settings, filters, past, drawn, sensors, aircraft, step, rate_hz)
     return np.array(filters["output"])
 
 
@@ -91,20 +102,12 @@ def apply_errors(truth, rows, output, states, errors):
     return estimate_of(aircraft)
 
 
-def add_jitter(errors, truth):
-    """The truth of N aircraft with errors (N, 9) of position, velocity and attitude."""
-    aircraft, none = aircraft_of(truth), np.zeros((2, *errors.shape))
-    block, used = np.zeros((0, *errors.shape)), np.zeros(1, dtype=np.intp)
-    sensor_errors.add_jitter_to_all(none, errors.copy(), True, block, used, aircraft, False)
-    return estimate_of(aircraft)
-
-
 @entry
 def _measure_airspeeds(sensors, aircraft, noise, step, rate_hz):
     for i in range(len(sensors)):
         a = aircraft[i]
-        airspeed.measure_airspeed(sensors[i], a.truth, a.faults, noise[i], step, rate_hz)
-        airspeed.write_airspeeds(sensors[i], a.truth, a.estimate)
+        measure_airspeed(sensors[i], a.truth, a.faults, noise[i], step, rate_hz)
+        write_airspeeds(sensors[i], a.truth, a.estimate)
 
 
 def airspeeds(sensors, truth, faults, noise, step, rate_hz):

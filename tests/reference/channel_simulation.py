@@ -31,6 +31,7 @@ def transmit(
     phase_s: float | Array = 0.0,
     fading: Array | None = None,
     scripted: Outcomes | None = None,
+    trace_delay_s: Array | None = None,
 ) -> ChannelRun:
     """Send K messages on every link at equal intervals.
 
@@ -41,11 +42,13 @@ def transmit(
         phase_s: s, of each aircraft (N,) or of all: time of the first message.
         fading: (n, N) probability of a loss to distance and airframes.
         scripted: (K,) of PacketOutcome on all links, 0: none.
+        trace_delay_s: (K,) s on all links; infinite: lost, nan: no trace.
     """
     _, aircraft = channel.links.shape
     period, phase = np.broadcast_to(period_s, aircraft), np.broadcast_to(phase_s, aircraft)
+    sent_s = phase + np.arange(packets)[:, None] * period
     return transmit_at(
-        channel, phase + np.arange(packets)[:, None] * period, fading=fading, scripted=scripted
+        channel, sent_s, fading=fading, scripted=scripted, trace_delay_s=trace_delay_s
     )
 
 
@@ -55,6 +58,7 @@ def transmit_at(
     *,
     fading: Array | None = None,
     scripted: Outcomes | None = None,
+    trace_delay_s: Array | None = None,
 ) -> ChannelRun:
     """Send messages on every link at these times (K, N), s; see `transmit`."""
     packets, aircraft = sent_s.shape
@@ -63,6 +67,8 @@ def transmit_at(
         links["packet"]["fading"] = fading
     if scripted is None:
         scripted = np.zeros(packets, np.uint8)
+    if trace_delay_s is None:
+        trace_delay_s = np.full(packets, np.nan)
     arrivals_s = np.empty((packets, *channel.links.shape, 2))
     outcome = np.empty((packets, *channel.links.shape), np.uint8)
     _transmit_all(
@@ -75,6 +81,7 @@ def transmit_at(
         np.ascontiguousarray(sent_s),
         allocate(MESSAGE, aircraft),
         scripted,
+        trace_delay_s,
         arrivals_s,
         outcome,
     )
@@ -95,6 +102,7 @@ def _transmit_all(
     sent_s: Array,
     messages: Records,
     scripted: Outcomes,
+    trace_delay_s: Array,
     arrivals_s: Array,
     outcome: Outcomes,
 ) -> None:
@@ -103,6 +111,7 @@ def _transmit_all(
         for i in range(len(links)):
             for m in range(len(senders)):
                 links[i, m].packet.scripted = scripted[k]
+                links[i, m].packet.trace_delay_s = trace_delay_s[k]
         transmit_broadcast(
             links, departures_s, tables, transmitters, senders, muted, sent_s[k], messages
         )

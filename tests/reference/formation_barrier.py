@@ -3,35 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from testbed.core.records import Array
-
-NO_BARRIER = 7  # h = 1, as in the paper's experiments: the speeds are saturated instead
-
-
-class Barrier(NamedTuple):
-    """h by the number of its example in [HBH23].
-
-    4: ν (s_hi − s)(s − s_lo), ν in s²/m². 5: tanh of example 4. 6: 1 but for parabolas within ν
-    (m/s) of either bound and beyond. 7: no barrier, h = 1. Fields are numbers for all agents, or
-    arrays (n,) with one for each: `per_agent`.
-    """
-
-    example: int | NDArray[np.int64]
-    nu: float | Array
+from testbed.formation.barrier import SpeedBarrier
 
 
-def per_agent(barriers: Sequence[Barrier]) -> Barrier:
+def per_agent(barriers: Sequence[SpeedBarrier]) -> SpeedBarrier:
     """One barrier for each of n agents."""
     example, nu = zip(*barriers, strict=True)
-    return Barrier(np.array(example, dtype=np.int64), np.array(nu, dtype=np.float64))
+    return SpeedBarrier(np.array(example, dtype=np.int64), np.array(nu, dtype=np.float64))
 
 
-def h(barrier: Barrier, s: Array, s_lo: Array, s_hi: Array) -> tuple[Array, Array]:
+def h(barrier: SpeedBarrier, s: Array, s_lo: Array, s_hi: Array) -> tuple[Array, Array]:
     """Value and slope of the barrier at ground speeds s (n,) and bounds (n,), m/s."""
     example, nu = barrier
     product = nu * (s_hi - s) * (s - s_lo)

@@ -93,16 +93,3 @@ def true_slots(
     motion[1] = np.arctan2(moving[:, 1], moving[:, 0])
     motion[2] = np.arctan2(-moving[:, 2], horizontal)
     return slot, position[1:] - slot, motion
-
-
-def write_true_slots(
-    position: Array,
-    velocity: Array,
-    offsets: Array,
-    altitudes: Array,
-    slot: Array,
-    error: Array,
-    motion: Array,
-) -> None:
-    """As `true_slots`, into arrays (n, 3), (n, 3) and (3, n) that are there."""
-    slot[:], error[:], motion[:] = true_slots(position, velocity, offsets, altitudes)

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from reference import formation_geometry as geometry
 from reference import formation_leader_filter as leading
 from reference.formation_arrays import norm
-from reference.formation_barrier import Barrier
-from reference.formation_control_function import ControlFunction
 from reference.formation_laws import (
     Desired,
     SpeedSet,
@@ -25,6 +23,8 @@ from reference.formation_message_extrapolation import corrected, kept, places, t
 from reference.frames import velocity_frame
 from testbed.core.frames import course, flight_path_angle
 from testbed.core.records import Array, BoolArray, Inbox, UnicycleCommand, VehicleState
+from testbed.formation.barrier import SpeedBarrier
+from testbed.formation.control_function import ControlFunction
 from testbed.formation.law import LimiterFlag
 
 CLAMPED = int(LimiterFlag.SPEED_DESIRED_CLAMPED)
@@ -48,7 +48,7 @@ class Hbh23Law:
     c_speed: Array  # (n,) s/m², the part that grows with s_d²
     speed_pole: Array  # (n,) 1/s, the speed model f = −p s, g = p
     control_function: ControlFunction  # its fields (n,)
-    barrier: Barrier  # its fields (n,)
+    barrier: SpeedBarrier  # its fields (n,)
     speeds: SpeedSet
     # The horizontal variant: the law sees motion in the plane, altitude is the middle loop's.
     horizontal: BoolArray  # (n,)

@@ -7,10 +7,12 @@ from typing import NamedTuple
 import numpy as np
 
 from reference.formation_arrays import dot, norm, scale
-from reference.formation_barrier import NO_BARRIER, Barrier, h
-from reference.formation_control_function import ControlFunction, rho_and_rate
+from reference.formation_barrier import h
+from reference.formation_control_function import rho_and_rate
 from reference.frames import velocity_frame
 from testbed.core.records import Array, BoolArray
+from testbed.formation.barrier import NO_BARRIER, SpeedBarrier
+from testbed.formation.control_function import ControlFunction
 
 # (14) divides by the slope of h outside the speed set. Where tanh has saturated that slope
 # underflows to nothing; the guard on the commanded airspeed bounds what this floor lets through.
@@ -87,7 +89,7 @@ def speed_control(
     a: Array,
     b: Array,
     pole: Array,
-    barrier: Barrier,
+    barrier: SpeedBarrier,
     speeds: SpeedSet,
 ) -> tuple[Array, BoolArray]:
     """The control u (n,) m/s, [HBH23] eq. (14), for f = −p s, g = p; and whether s is in S.

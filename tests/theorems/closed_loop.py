@@ -10,7 +10,6 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from reference import formation_control_function as functions
 from reference.adapters import (
     desired_velocity,
     formation_error,
@@ -21,8 +20,10 @@ from reference.adapters import (
     velocity_frame,
 )
 from reference.adapters import slot_motions as slots
-from reference.formation_barrier import Barrier
 from reference.formation_laws import Desired, SpeedSet
+
+from testbed.formation.barrier import SpeedBarrier
+from testbed.formation.control_function import ControlFunction
 
 
 class State(NamedTuple):
@@ -86,8 +87,8 @@ class Formations:
     b: np.ndarray
     c: np.ndarray
     pole: np.ndarray
-    mu: functions.ControlFunction
-    barrier: Barrier
+    mu: ControlFunction
+    barrier: SpeedBarrier
     speeds: SpeedSet
 
     def change(self, **fields):
