@@ -57,7 +57,9 @@ KERNEL_PACKAGES = (
     *("network", "sensors", "trials", "vehicle"),
 )
 _FOLDER_NAME = re.compile("kernels-[0-9a-f]{16}")
-_FILE_NAME = re.compile(r"turn|compiling|ready-[0-9a-f]+|.+\.nb[ci](\.tmp\..+)?")  # in it
+_FILE_NAME = re.compile(
+    r"turn|compiling|ready-[0-9a-f]+|run_[0-9a-f]+\.py|proof-[0-9a-f]+\.json|.+\.nb[ci](\.tmp\..+)?"
+)  # in it
 UNUSED_DAYS = 30  # after which machine code in a shared folder is removed
 # numpy divides by zero as IEEE does; nothing is reordered, so that runs repeat to the bit
 _OPTIONS: dict[str, Any] = {"error_model": "numpy"}

@@ -125,6 +125,7 @@ class World:
     faults: FaultManager | None  # None: the scenario has none
     proximity: ProximityMonitor
     envelope: EnvelopeMonitor
+    lowest_m: Array  # (N,) m above the terrain; an aircraft below counts as on the ground
     fly_on: bool  # the run continues without lost aircraft
     external_control: ExternalControl | None  # None: no external commands
     initial_events: tuple[Event, ...]  # from before the flight
