@@ -34,8 +34,8 @@ from testbed.flight.stages import (
 )
 from testbed.flight.steps import copy_truth, find_losses, has_events
 from testbed.flight.tick_loop import LOOK_TICKS, TickInputs, TickLoop
-from testbed.flight.vehicles import Move
 from testbed.flight.world import World
+from testbed.vehicle.fleet import Move
 
 Ended: TypeAlias = Callable[[float, TickActions], bool]
 # Where a flight waits for commands of its caller.
@@ -184,7 +184,11 @@ class Flight:
         proximity = world.proximity
         call = Call(
             find_losses,
-            *(world.aircraft, world.lowest_m, world.parts is not None and world.parts.scripted_leader),
+            *(
+                world.aircraft,
+                world.lowest_m,
+                world.parts is not None and world.parts.scripted_leader,
+            ),
             *(proximity.limit_m, proximity.minimum_m, proximity.watching),
         )
         yield Stage(part, rate, "find losses and encounters", call=call, then=self._lose)

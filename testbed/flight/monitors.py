@@ -131,13 +131,6 @@ def find_joined(
     return new
 
 
-def _cause(position_ned: Array, lowest_m: float) -> str:
-    """Describe why an aircraft at this position (3,) is lost."""
-    if -position_ned[2] < lowest_m:
-        return f"on the ground, at {-position_ned[2]:.1f} m"
-    return "its motion is not finite, or outside the range of its flight model"
-
-
 class LossMonitor:
     """Report aircraft that are lost, and whether the run ends.
 
@@ -186,7 +179,12 @@ class LossMonitor:
             return []
         self._last_down = bits
         events = [
-            Event(now, "error", self._names[row], f"lost: {_cause(position_ned[row], self._lowest_m[row])}")
+            Event(
+                now,
+                "error",
+                self._names[row],
+                f"lost: {self._cause(row, position_ned[row])}",
+            )
             for row in np.flatnonzero(down & ~self.lost).tolist()
         ]
         faulty = self._faults.active if self._faults else None
@@ -199,6 +197,12 @@ class LossMonitor:
             self.lost = lost
             self.terminate = bool(lost.all()) or not self._fly_on
         return [*events, *close]
+
+    def _cause(self, row: int, position_ned: Array) -> str:
+        """Describe why an aircraft at this position (3,) is lost."""
+        if -position_ned[2] < self._lowest_m[row]:
+            return f"on the ground, at {-position_ned[2]:.1f} m"
+        return "its motion is not finite, or outside the range of its flight model"
 
     @property
     def outcome(self) -> str:

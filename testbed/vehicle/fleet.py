@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from testbed.core.call_list import Call
+from testbed.core.call_list import Call, Step
 from testbed.core.compile import bind_entry
 from testbed.core.errors import raise_memory_shortage
 from testbed.core.geodetic import RADIANS, local_frame
@@ -69,6 +69,18 @@ def lowest_height(folder: Path) -> float:
     Aircraft are lost there: the forces of the ground are no part of a flight.
     """
     return airframe(folder).contact_radius + _GROUND_MARGIN
+
+
+class Move(NamedTuple):
+    """How far vehicles move at a tick.
+
+    Attributes:
+        steps: (1,) of the base rate.
+        needed: (N,) aircraft of the run whose `truth` is then written.
+    """
+
+    steps: Indices
+    needed: BoolArray
 
 
 class PlacedModel(NamedTuple):
@@ -143,13 +155,15 @@ class FlightModels:
     They read and write records: their own ones, or those of a run after `bind`.
 
     Attributes:
-        engine: name of what steps them.
+        engine: name of what steps them, see the key `engine` of a scenario.
+        engine_reason: why that is not the compiled one; empty: it is, or was not to be.
         trims: N, of their starts.
         write_wind: gives the wind of the records to the flight models, for their next run.
         write_surfaces: gives the surfaces of the records to the flight models, the same.
     """
 
     engine: str
+    engine_reason = ""
 
     def __init__(
         self,
@@ -195,7 +209,7 @@ class FlightModels:
         self._write_truth = bind_entry(
             write_truth, rows, self._numbers, self._frame, aircraft, like=(self.all_rows,)
         )
-        self._write_air = bind_entry(write_air, rows, self._air_numbers, aircraft)
+        self._write_air_call = Call(write_air, rows, self._air_numbers, aircraft)
         changed = self._changed
         self.write_wind = Call(pack_wind, rows, aircraft, self._wind_numbers, changed)
         self.write_surfaces = Call(pack_surfaces, rows, aircraft, self._controls, changed)
@@ -215,7 +229,7 @@ class FlightModels:
 
     @property
     def no_gust_inputs(self) -> BoolArray:
-        """Return which aircraft (N,) lack an input for rotations of the air."""
+        """Which aircraft (N,) lack an input for rotations of the air."""
         raise NotImplementedError
 
     def read(self) -> VehicleState:
@@ -227,12 +241,29 @@ class FlightModels:
     def read_air(self) -> None:
         """Write flow angles, propeller speeds and battery states of the models to the records."""
         self._read_air_numbers(range(len(self._numbers)))
-        self._write_air()
+        self._write_air_call(0.0)
 
     def air(self) -> AirData:
         """Read the flight models, and copy the air data."""
         self.read_air()
         return AirData(*(each[self.rows] for each in air_data(self.aircraft)))
+
+    @property
+    def air_steps(self) -> tuple[Step, ...]:
+        """Return the steps of `read_air`."""
+        return (lambda now: self.read_air(),)
+
+    def move_steps(self, move: Move) -> tuple[Step, ...]:
+        """Return the steps that run every aircraft, and write the motion that is needed."""
+        rows: dict[bytes, Indices] = {}
+
+        def run(now: float) -> None:
+            key = move.needed.tobytes()
+            if key not in rows:
+                rows[key] = np.flatnonzero(move.needed[self.rows])
+            self.run(int(move.steps[0]), rows[key])
+
+        return (run,)
 
     def set_wind(self, wind: WindInput) -> None:
         """Set the wind (N) that acts on the aircraft from now on."""

@@ -25,7 +25,7 @@ JSBSim loads, trims and places the aircraft:
     changed    (2,) bool, `jsbsim_io.WIND` and `CONTROLS`: the numbers above are written to the
                rows; those that have not changed are in the rows
     dt         s, one step
-    ticks      steps, 1 or more
+    ticks      (1,) steps, intp
     clearance  ft above the terrain, `aircraft.clearance`
     which      (K,) of the M rows, intp
     status     (M,) uint8, `limits`: 0 flying. A row that leaves what the model describes gets its

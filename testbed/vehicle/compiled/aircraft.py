@@ -94,7 +94,9 @@ class CompiledAircraft:
         controls = no_controls, no_controls
         never = -math.inf  # placed rows may be near the ground
         rows = row.reshape(1, -1)
-        self.run_rows(rows, no_wind, *controls, unchanged, dt, ticks, never, which, status)
+        self.run_rows(
+            rows, no_wind, *controls, unchanged, dt, np.array([ticks]), never, which, status
+        )
         return int(status[0])
 
     @property

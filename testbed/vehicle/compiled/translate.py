@@ -366,7 +366,7 @@ def run_rows(state, wind_inputs, controls, first, changed, dt, ticks, clearance,
             (-inertia[3], inertia[1], -inertia[5]),
             (inertia[4], -inertia[5], inertia[2]),
         )
-        for tick in range(ticks):
+        for tick in range(ticks[0]):
 {step}
             if tick == 0 and changed[1]:
 {final}
