@@ -21,15 +21,18 @@ from __future__ import annotations
 import fcntl
 import functools
 import hashlib
+import linecache
 import os
 import re
 import shutil
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
+from types import ModuleType
 from typing import IO, Any, Protocol, TypeAlias, TypeVar
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -57,7 +60,9 @@ KERNEL_PACKAGES = (
     *("network", "sensors", "trials", "vehicle"),
 )
 _FOLDER_NAME = re.compile("kernels-[0-9a-f]{16}")
-_FILE_NAME = re.compile(r"turn|compiling|ready-[0-9a-f]+|.+\.nb[ci](\.tmp\..+)?")  # in it
+_FILE_NAME = re.compile(
+    r"turn|compiling|ready-[0-9a-f]+|run_[0-9a-f]+\.py|proof-[0-9a-f]+\.json|.+\.nb[ci](\.tmp\..+)?"
+)  # in it
 UNUSED_DAYS = 30  # after which machine code in a shared folder is removed
 # numpy divides by zero as IEEE does; nothing is reordered, so that runs repeat to the bit
 _OPTIONS: dict[str, Any] = {"error_model": "numpy"}
@@ -81,6 +86,28 @@ def entry(function: F) -> F:
     folder = cache_folder()
     compiled: Any = None if folder is None else _cached(function, folder)
     return compiled or numba.njit(**_OPTIONS)(function)  # type: ignore[no-any-return]
+
+
+def entry_of_source(name: str, source: str) -> Callable[..., Any]:
+    """Return a function as an entry, whose source was generated.
+
+    The source is kept beside the machine code, for tracebacks and debuggers.
+
+    Args:
+        name: of the function, different for each source.
+        source: of a module with the function; of this package's making, as it is executed.
+    """
+    folder = cache_folder()
+    file = Path(folder or tempfile.gettempdir()) / f"{name}.py"
+    if folder is not None:
+        with suppress(OSError):
+            file.write_text(source, encoding="utf-8")
+    linecache.cache[str(file)] = (len(source), None, source.splitlines(keepends=True), str(file))
+    module = ModuleType(f"{__package__}.generated.{name}")
+    sys.modules[module.__name__] = module  # where numba finds it when it loads machine code
+    exec(compile(source, str(file), "exec"), module.__dict__)
+    generated: Callable[..., Any] = entry(module.__dict__[name])
+    return generated
 
 
 def address_of(function: Callable[..., Any], returns: Any, *types: Any) -> int:  # noqa: ANN401

@@ -117,7 +117,7 @@ class NedOrigin:
 @document_fields
 @dataclass(frozen=True, slots=True)
 class Airframe:
-    """Properties of an airframe that determine the effect of wind and wakes."""
+    """Properties of an airframe that determine the effect of wind, wakes and the ground."""
 
     span: float  # m
     area: float  # m², of the wing
@@ -125,6 +125,7 @@ class Airframe:
     mass: float  # kg
     lift_slope: float  # 1/rad, of the lift coefficient
     stall_angle: float = math.inf  # rad, angle of attack of the largest lift; infinite: no stall
+    contact_radius: float = 0.0  # m, of the part farthest from the centre of gravity
 
 
 def join_names(names: Sequence[str]) -> str:

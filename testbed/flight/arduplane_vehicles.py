@@ -20,8 +20,8 @@ from testbed.core.records import (
     fault_state,
     join_names,
 )
-from testbed.flight.vehicles import JsbsimVehicles
-from testbed.vehicle.fleet import JsbsimFleet
+from testbed.flight.vehicles import JsbsimVehicles, Steps
+from testbed.vehicle.fleet import FlightModels, Move
 
 if TYPE_CHECKING:
     from testbed.autopilot.ardupilot_sitl import SitlVehicle
@@ -37,7 +37,7 @@ class ArduPlaneVehicles(JsbsimVehicles):
 
     def __init__(
         self,
-        fleet: JsbsimFleet,
+        fleet: FlightModels,
         gains: Records,
         aircraft: Records,
         rows: Indices,
@@ -168,6 +168,10 @@ class ArduPlaneVehicles(JsbsimVehicles):
         super().remove(lost)
         removed = [k for k in self._planes if lost[self.rows[k]]]
         self._stop([self._planes.pop(k) for k in removed])
+
+    def move_steps(self, move: Move) -> Steps:
+        """See `Vehicles`."""
+        return (lambda now: self.step(int(move.steps[0]), None),)
 
     def step(self, ticks: int, needed: tuple[int, ...] | None) -> None:
         """Step each flight model as soon as its ArduPlane has computed the tick.

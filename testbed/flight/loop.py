@@ -34,8 +34,8 @@ from testbed.flight.stages import (
 )
 from testbed.flight.steps import copy_truth, find_losses, has_events
 from testbed.flight.tick_loop import LOOK_TICKS, TickInputs, TickLoop
-from testbed.flight.vehicles import Move
 from testbed.flight.world import World
+from testbed.vehicle.fleet import Move
 
 Ended: TypeAlias = Callable[[float, TickActions], bool]
 # Where a flight waits for commands of its caller.
@@ -80,7 +80,9 @@ class Flight:
         senders = np.zeros(n, dtype=bool) if world.parts is None else world.parts.radio.senders
         steps, needed = np.zeros(1, dtype=np.intp), np.ones(n, dtype=bool)
         self._inputs = TickInputs(senders, np.full(n, np.nan), steps, needed)
-        self._losses = LossMonitor(world.names, world.proximity, world.faults, fly_on=world.fly_on)
+        self._losses = LossMonitor(
+            world.names, world.lowest_m, world.proximity, world.faults, fly_on=world.fly_on
+        )
         self._gust_monitor = GustMonitor(world.gusts, world.names)
         self._observers = Observers(observers)
         self._sample = make_sample(
@@ -182,7 +184,11 @@ class Flight:
         proximity = world.proximity
         call = Call(
             find_losses,
-            *(world.aircraft, world.parts is not None and world.parts.scripted_leader),
+            *(
+                world.aircraft,
+                world.lowest_m,
+                world.parts is not None and world.parts.scripted_leader,
+            ),
             *(proximity.limit_m, proximity.minimum_m, proximity.watching),
         )
         yield Stage(part, rate, "find losses and encounters", call=call, then=self._lose)

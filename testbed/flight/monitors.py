@@ -15,7 +15,6 @@ from testbed.flight.limits import ProximityMonitor
 from testbed.formation.law import LimiterFlag
 from testbed.metrics.accumulator import JOIN_HOLD_S, JOIN_RADIUS_M
 from testbed.network.link_statistics import record_ages
-from testbed.vehicle.fleet import LOWEST
 
 
 class GustMonitor:
@@ -132,13 +131,6 @@ def find_joined(
     return new
 
 
-def _cause(position_ned: Array) -> str:
-    """Describe why an aircraft at this position (3,) is lost."""
-    if -position_ned[2] < LOWEST:
-        return f"on the ground, at {-position_ned[2]:.1f} m"
-    return "its motion is not finite, or outside the range of its flight model"
-
-
 class LossMonitor:
     """Report aircraft that are lost, and whether the run ends.
 
@@ -152,6 +144,7 @@ class LossMonitor:
     def __init__(
         self,
         names: Sequence[str],
+        lowest_m: Array,
         proximity: ProximityMonitor,
         faults: FaultManager | None,
         *,
@@ -161,12 +154,13 @@ class LossMonitor:
 
         Args:
             names: N aircraft.
+            lowest_m: (N,) see `find_losses`.
             proximity: reports collisions.
             faults: of the scenario; None: it has none.
             fly_on: the run continues without lost aircraft.
         """
         self._names, self._proximity, self._faults = names, proximity, faults
-        self._fly_on = fly_on
+        self._lowest_m, self._fly_on = lowest_m, fly_on
         self.lost: BoolArray = np.zeros(len(names), dtype=bool)
         self.terminate = False
         self._unexpected = False  # an aircraft without an active fault was lost
@@ -185,7 +179,12 @@ class LossMonitor:
             return []
         self._last_down = bits
         events = [
-            Event(now, "error", self._names[row], f"lost: {_cause(position_ned[row])}")
+            Event(
+                now,
+                "error",
+                self._names[row],
+                f"lost: {self._cause(row, position_ned[row])}",
+            )
             for row in np.flatnonzero(down & ~self.lost).tolist()
         ]
         faulty = self._faults.active if self._faults else None
@@ -198,6 +197,12 @@ class LossMonitor:
             self.lost = lost
             self.terminate = bool(lost.all()) or not self._fly_on
         return [*events, *close]
+
+    def _cause(self, row: int, position_ned: Array) -> str:
+        """Describe why an aircraft at this position (3,) is lost."""
+        if -position_ned[2] < self._lowest_m[row]:
+            return f"on the ground, at {-position_ned[2]:.1f} m"
+        return "its motion is not finite, or outside the range of its flight model"
 
     @property
     def outcome(self) -> str:

@@ -8,7 +8,6 @@ from testbed.core.compile import entry, kernel
 from testbed.core.copies import copy_command, copy_motion
 from testbed.core.frames import attitude_rates
 from testbed.core.records import Array, BoolArray, Records
-from testbed.vehicle.fleet import LOWEST
 
 
 @entry
@@ -61,12 +60,18 @@ def write_messages(
 
 @entry
 def find_losses(
-    aircraft: Records, scripted: bool, limit_m: float, minimum_m: Array, watching: BoolArray
+    aircraft: Records,
+    lowest_m: Array,
+    scripted: bool,
+    limit_m: float,
+    minimum_m: Array,
+    watching: BoolArray,
 ) -> bool:
     """Write which aircraft (N,) are on the ground or have stopped.
 
     Args:
         aircraft: (N,) of AIRCRAFT; `down` is written.
+        lowest_m: (N,) m above the terrain, below which an aircraft counts as on the ground.
         scripted: the leader follows a script, whatever happens.
         limit_m: the distance, for all pairs.
         minimum_m: (N,) the same by aircraft, of which the larger one counts for a pair; NaN: none
@@ -76,7 +81,7 @@ def find_losses(
     Returns:
         Whether `down` changed, or two aircraft are within their distance or in an encounter.
     """
-    changed = _write_down(aircraft, scripted)
+    changed = _write_down(aircraft, lowest_m, scripted)
     return bool(changed | watching[0] | _any_within(aircraft, limit_m, minimum_m))
 
 
@@ -101,12 +106,12 @@ def _any_within(aircraft: Records, limit_m: float, minimum_m: Array) -> bool:
 
 
 @kernel
-def _write_down(aircraft: Records, scripted: bool) -> bool:
+def _write_down(aircraft: Records, lowest_m: Array, scripted: bool) -> bool:
     """Write `down`; see `find_losses`. Return whether it changed."""
     changed = False
     for i in range(len(aircraft)):
         a = aircraft[i]
-        down = a.stopped or not -a.truth.position_ned[2] >= LOWEST
+        down = a.stopped or not -a.truth.position_ned[2] >= lowest_m[i]
         if i == 0 and scripted:
             down = False
         if down != a.down:

@@ -6,7 +6,7 @@ Each object reads and writes its rows of the run's AIRCRAFT records in place.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple, Protocol, TypeAlias
+from typing import Protocol, TypeAlias
 
 import numpy as np
 
@@ -29,23 +29,11 @@ from testbed.core.records import (
 )
 from testbed.guidance.recorded_path import SampledTrajectory
 from testbed.vehicle.control_surfaces import Servos, apply_actuator_faults, initial_servos
-from testbed.vehicle.fleet import JsbsimFleet, write_fields_at
+from testbed.vehicle.fleet import FlightModels, Move, write_fields_at
 from testbed.vehicle.unicycle import advance, is_finite, stop_unicycles, write_motion
 
 Steps: TypeAlias = tuple[Step, ...]
 LeaderInput: TypeAlias = tuple[Array, Array]  # u (1,) m/s and ω (3,) rad/s of an ideal leader
-
-
-class Move(NamedTuple):
-    """How far vehicles move at a tick.
-
-    Attributes:
-        steps: (1,) of the base rate.
-        needed: (N,) aircraft whose `truth` is then written.
-    """
-
-    steps: Indices
-    needed: BoolArray
 
 
 class Vehicles(Protocol):
@@ -86,7 +74,7 @@ class JsbsimVehicles:
     """JSBSim aircraft behind their virtual autopilots."""
 
     def __init__(
-        self, fleet: JsbsimFleet, gains: Records, aircraft: Records, rows: Indices
+        self, fleet: FlightModels, gains: Records, aircraft: Records, rows: Indices
     ) -> None:
         """Start in trim, with settled autopilots.
 
@@ -100,7 +88,7 @@ class JsbsimVehicles:
         self.fleet, self.rows, self._aircraft = fleet, rows, aircraft
         self.autopilots = settled_autopilots(gains, fleet.trimmed)
         self._fly = Call(fly_by_wire_a, rows, *self.autopilots, aircraft)
-        self.air_steps: Steps = (lambda now: fleet.read_air(),)
+        self.air_steps: Steps = fleet.air_steps
         self.wind_steps: Steps = (fleet.write_wind,)
         self.autopilot_steps: Steps = (self._fly,)
         self.fault_steps: Steps = (self.apply_faults,)
@@ -108,7 +96,6 @@ class JsbsimVehicles:
         self._servos: Servos | None = None
         self._faults: FaultState | None = None
         self._zero_flow = self._flow = np.zeros((len(rows), 2))
-        self._needed: dict[bytes, Indices] = {}  # flight models by the aircraft needed
 
     def retune(self, row: int, params: FbwaParams) -> None:
         """Set the parameters of the autopilot in a row of the fleet; its state stays."""
@@ -124,7 +111,7 @@ class JsbsimVehicles:
 
     def move_steps(self, move: Move) -> Steps:
         """See `Vehicles`."""
-        return (lambda now: self._run(int(move.steps[0]), move.needed),)
+        return self.fleet.move_steps(move)
 
     def autopilot_step(self) -> None:
         """Step the autopilots, and give their surfaces to the flight models."""
@@ -158,16 +145,8 @@ class JsbsimVehicles:
 
     def step(self, ticks: int, needed: tuple[int, ...] | None) -> None:
         """See `Vehicles`."""
-        rows = np.full(len(self._aircraft), needed is None)
-        rows[list(needed or ())] = True
-        self._run(ticks, rows)
-
-    def _run(self, ticks: int, needed: BoolArray) -> None:
-        """Run the flight models; write `truth` of the aircraft needed (N,)."""
-        key = needed.tobytes()
-        if key not in self._needed:
-            self._needed[key] = np.flatnonzero(needed[self.rows])
-        self.fleet.run(ticks, self._needed[key])
+        rows = np.arange(len(self._aircraft)) if needed is None else np.array(needed, dtype=np.intp)
+        self.fleet.run(ticks, np.flatnonzero(np.isin(self.rows, rows)))
 
 
 class UnicycleVehicles:

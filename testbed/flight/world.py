@@ -31,7 +31,7 @@ from testbed.formation.law import FormationConfig
 from testbed.network.outages import Outages
 from testbed.network.radio import Radio
 from testbed.sensors.estimators import StateEstimators
-from testbed.vehicle.fleet import JsbsimFleet
+from testbed.vehicle.fleet import FlightModels
 from testbed.vehicle.trim import (
     InitialState,
 )
@@ -120,11 +120,12 @@ class World:
     gusts: tuple[str, ...]  # names of its discrete gusts
     vehicles: tuple[Vehicles, ...]
     external_processes: tuple[ArduPlaneVehicles, ...]
-    fleet: JsbsimFleet | None  # the JSBSim models, if there are any
+    fleet: FlightModels | None  # the flight models, if there are any
     estimators: StateEstimators
     faults: FaultManager | None  # None: the scenario has none
     proximity: ProximityMonitor
     envelope: EnvelopeMonitor
+    lowest_m: Array  # (N,) m above the terrain; an aircraft below counts as on the ground
     fly_on: bool  # the run continues without lost aircraft
     external_control: ExternalControl | None  # None: no external commands
     initial_events: tuple[Event, ...]  # from before the flight

@@ -16,11 +16,11 @@ from testbed.scenario.arguments import with_changes
 from testbed.scenario.control import OnFailure
 from testbed.scenario.faults import AnyFault, GpsJump, GpsLost
 from testbed.sensors.estimators import has_filter
-from testbed.vehicle.fleet import JsbsimFleet
+from testbed.vehicle.fleet import FlightModels
 
 
 def build_faults(
-    fleet: Fleet, models: JsbsimFleet | None, declared_after_s: float
+    fleet: Fleet, models: FlightModels | None, declared_after_s: float
 ) -> FaultManager | None:
     """Build the faults of a fleet; None if it has none.
 

@@ -30,7 +30,8 @@ from testbed.scenario.aircraft import VirtualAutopilot
 from testbed.scenario.checks import LOWEST_START_M
 from testbed.scenario.control import Controller
 from testbed.scenario.sections import Rates
-from testbed.vehicle.fleet import JsbsimFleet
+from testbed.vehicle.compiled_fleet import CompiledFleet, find_engines
+from testbed.vehicle.fleet import FlightModels
 from testbed.vehicle.trim import InitialState, error_prefix
 from testbed.vehicle.unicycle import make_unicycles
 from testbed.vehicle.workers import make_fleet
@@ -44,7 +45,7 @@ class BuiltVehicles:
     jsbsim: JsbsimVehicles | None  # None: no aircraft has a JSBSim model
 
     @property
-    def fleet(self) -> JsbsimFleet | None:
+    def fleet(self) -> FlightModels | None:
         """The JSBSim models, if there are any."""
         return None if self.jsbsim is None else self.jsbsim.fleet
 
@@ -113,6 +114,7 @@ def build_vehicles(
     warmer: float,
     arduplane: Path | None,
     processes: int | None,
+    engine: str,
 ) -> BuiltVehicles:
     """Build the vehicles of all aircraft.
 
@@ -128,6 +130,7 @@ def build_vehicles(
         warmer: how much warmer the air is than the standard atmosphere, K.
         arduplane: the program for `autopilot: ardupilot`; None: that of the environment.
         processes: that step JSBSim models; None: as many as are fastest.
+        engine: of the flight models, see `Header`.
 
     Raises:
         AircraftError, TrimError, InputError: an aircraft cannot be built.
@@ -147,6 +150,7 @@ def build_vehicles(
             warmer=warmer,
             arduplane=arduplane,
             processes=processes,
+            engine=engine,
         )
         vehicles.append(jsbsim)
     if any(each.is_ideal for each in fleet.aircraft):
@@ -157,7 +161,7 @@ def build_vehicles(
 
 
 def gust_input_warnings(
-    fleet: Fleet, models: JsbsimFleet | None, *, steady_air: bool
+    fleet: Fleet, models: FlightModels | None, *, steady_air: bool
 ) -> Iterator[Event]:
     """Warn of aircraft whose model has no input for rotations of the air."""
     if models is None or steady_air:
@@ -171,6 +175,12 @@ def gust_input_warnings(
                 "air/roll-coefficient"
             )
             yield Event(0.0, "warning", fleet.names[row], text)
+
+
+def engine_notes(models: FlightModels | None) -> Iterator[Event]:
+    """Say why JSBSim steps the flight models, where the choice is open."""
+    if models is not None and models.engine_reason:
+        yield Event(0.0, "info", "run", models.engine_reason)
 
 
 def _build_gains(modelled: Sequence[PlannedAircraft], rates: Rates, clock: Clock) -> Records:
@@ -195,24 +205,26 @@ def _build_models(
     clock: Clock,
     warmer: float,
     processes: int | None,
-) -> JsbsimFleet:
-    """Build the JSBSim models of M aircraft, in trim."""
-    with error_prefix("fleet"):
-        return make_fleet(
-            [each.folder for each in modelled],
-            [
-                replace(
-                    start,
-                    state_of_charge=each.section.battery.state_of_charge,
-                    cells=each.section.battery.cells or 0,
-                    temperature_offset=warmer,
-                )
-                for each, start in zip(modelled, starts, strict=True)
-            ],
-            origin,
-            clock.base_rate_hz,
-            processes=processes,
+    engine: str,
+) -> FlightModels:
+    """Build the flight models of M aircraft, in trim."""
+    folders = [each.folder for each in modelled]
+    starts = [
+        replace(
+            start,
+            state_of_charge=each.section.battery.state_of_charge,
+            cells=each.section.battery.cells or 0,
+            temperature_offset=warmer,
         )
+        for each, start in zip(modelled, starts, strict=True)
+    ]
+    with error_prefix("fleet"):
+        compiled, reason = find_engines(folders, clock.base_rate_hz, engine)
+        if compiled:
+            return CompiledFleet(compiled, starts, origin, clock.base_rate_hz)
+        models = make_fleet(folders, starts, origin, clock.base_rate_hz, processes=processes)
+        models.engine_reason = reason
+        return models
 
 
 def _build_unicycles(
@@ -279,6 +291,7 @@ def build_jsbsim_vehicles(
     warmer: float,
     arduplane: Path | None = None,
     processes: int | None = 1,
+    engine: str = "auto",
 ) -> JsbsimVehicles:
     """Build the vehicles of the M aircraft with flight models, of which there is one or more.
 
@@ -286,7 +299,7 @@ def build_jsbsim_vehicles(
     """
     modelled, origin = [each for each in fleet.aircraft if each.has_model], fleet.origin
     own_starts = [starts[each.row] for each in modelled]
-    models = _build_models(modelled, own_starts, origin, clock, warmer, processes)
+    models = _build_models(modelled, own_starts, origin, clock, warmer, processes, engine)
     gains = _build_gains(modelled, rates, clock)
     rows = np.array(fleet.model_rows, dtype=np.intp)
     if not any(each.arduplane for each in modelled):

@@ -36,7 +36,7 @@ from testbed.plan.fleet import Fleet, FormationPlan, PlannedFollower
 from testbed.scenario import Scenario, SingleAircraft
 from testbed.scenario.sections import Rates
 from testbed.scenario.unusual import unusual_numbers
-from testbed.vehicle.fleet import JsbsimFleet
+from testbed.vehicle.fleet import FlightModels
 from testbed.vehicle.jsbsim_adapter import modes_of_aircraft
 from testbed.vehicle.step_size import describe_coarse_step, find_coarse_step
 from testbed.vehicle.trim import STILL, TrimPoint, Vector
@@ -384,7 +384,7 @@ def _text(limit: _Limit) -> str:
     return ""
 
 
-def step_warnings(fleet: Fleet, rates: Rates, models: JsbsimFleet | None) -> Iterator[Event]:
+def step_warnings(fleet: Fleet, rates: Rates, models: FlightModels | None) -> Iterator[Event]:
     """Warn of flight models whose modes are too fast for rates.physics_hz.
 
     Eigenvalues grow with the airspeed: of several aircraft of a kind the fastest is examined.

@@ -17,6 +17,7 @@ from testbed.core.records import (
     AIRCRAFT,
     FOLLOWER,
     LINK,
+    Array,
     Event,
     Records,
     RunInfo,
@@ -53,6 +54,7 @@ from testbed.plan.vehicles import (
     build_single_start,
     build_starts,
     build_vehicles,
+    engine_notes,
     gust_input_warnings,
 )
 from testbed.plan.warnings import (
@@ -68,6 +70,7 @@ from testbed.plan.warnings import (
 from testbed.scenario import SCHEMA_VERSION, Scenario, SingleAircraft, dump
 from testbed.sensors.estimators import StateEstimators
 from testbed.vehicle.environment import describe_integrators
+from testbed.vehicle.fleet import LOWEST, FlightModels
 from testbed.vehicle.jsbsim_adapter import VERSION as JSBSIM_VERSION
 from testbed.vehicle.trim import STILL, Vector
 
@@ -129,6 +132,7 @@ def build(
         warmer=warmer,
         arduplane=arduplane,
         processes=processes,
+        engine=scenario.scenario.engine,
     )
     jsbsim, on_failure = vehicles.jsbsim, scenario.formation.on_failure
     control = build_control(fleet, scenario.controller, clock)
@@ -175,10 +179,12 @@ def build(
         faults=faults,
         proximity=build_proximity(fleet, scenario.limits),
         envelope=build_envelope_monitor(fleet, scenario.limits, faults),
+        lowest_m=_lowest_heights(fleet, vehicles.fleet),
         fly_on=scenario.limits.on_loss == "continue",
         external_control=external,
         initial_events=(
             *(Event(0.0, "info", "run", text) for text in control.messages),
+            *engine_notes(vehicles.fleet),
             *gust_input_warnings(fleet, vehicles.fleet, steady_air=air.steady),
             *still_field_warnings(scenario.air),
             *temperature_warnings(fleet, warmer, height),
@@ -225,7 +231,9 @@ def build_single(flight: SingleAircraft) -> World:
     air = _build_air(flight, fleet, mean_wind, height, clock)
     if not air.steady:
         air.bind(aircraft)
-    jsbsim = build_jsbsim_vehicles(fleet, starts, flight.rates, clock, aircraft, warmer=warmer)
+    jsbsim = build_jsbsim_vehicles(
+        fleet, starts, flight.rates, clock, aircraft, warmer=warmer, engine=flight.scenario.engine
+    )
     estimators = _build_estimators(flight)
     return World(
         clock=clock,
@@ -244,9 +252,11 @@ def build_single(flight: SingleAircraft) -> World:
         faults=None,
         proximity=ProximityMonitor(fleet.names),
         envelope=build_envelope_monitor(fleet, flight.limits, None),
+        lowest_m=jsbsim.fleet.lowest_m,
         fly_on=False,
         external_control=build_external_control(fleet, clock, None, starts, jsbsim),
         initial_events=(
+            *engine_notes(jsbsim.fleet),
             *gust_input_warnings(fleet, jsbsim.fleet, steady_air=air.steady),
             *still_field_warnings(flight.air),
             *unusual_warnings(flight),
@@ -287,6 +297,14 @@ def versions() -> dict[str, str]:
         "numpy": np.__version__,
         "python": platform.python_version(),
     }
+
+
+def _lowest_heights(fleet: Fleet, models: FlightModels | None) -> Array:
+    """Return the heights (N,) below which aircraft count as on the ground, m."""
+    heights = np.full(len(fleet.names), LOWEST)
+    if models is not None:
+        heights[list(fleet.model_rows)] = models.lowest_m
+    return heights
 
 
 def _allocate_aircraft(fleet: Fleet) -> Records:

@@ -94,6 +94,11 @@ class Header(Section):
     expectation: str = Field("", description="Expected answer.")
     duration_s: Seconds = Field(ge=SMALLEST, le=MAX_DURATION_S, description="Length of the run, s.")
     seed: Whole = Field(1, ge=0, lt=2**63, description="Seed of every random stream, a number.")
+    engine: Literal["auto", "jsbsim", "compiled"] = Field(
+        "auto",
+        description="What steps the flight models: compiled functions, JSBSim, or auto: compiled "
+        "functions where they are proved equal to JSBSim.",
+    )
     origin: Origin = Field(Origin(), description="Origin of the local frame on the earth.")
     windows: Mapping[Name, Window] = Field(
         {}, description="Windows [from, to] for which errors are reported, s."

@@ -28,6 +28,7 @@ from testbed.formation.slots import write_formation_state
 from testbed.plan.world import build
 from testbed.scenario import Scenario
 from testbed.scenario.aircraft import ArduPlane
+from testbed.vehicle.fleet import JsbsimFleet
 from testbed.vehicle.forked_trial import run_forked
 
 SETTLE_S, LONGEST_SETTLE_S = 60.0, 180.0
@@ -123,7 +124,8 @@ def steady_scenario(scenario: Scenario, bank_deg: float) -> Scenario:
         for key in ("sensors", "faults", "commanded_by"):
             each.pop(key, None)
         each["start_m"] = scenario.formation.offsets_m[each["name"]]
-    data["scenario"] |= {"windows": {}, "published": None}
+    # JSBSim moves aircraft in flight
+    data["scenario"] |= {"windows": {}, "published": None, "engine": "jsbsim"}
     data["scenario"]["duration_s"] = LONGEST_SETTLE_S + LONG_RECORD_S + 1.0
     return Scenario.model_validate(data)
 
@@ -271,7 +273,7 @@ class _Disturbance:
         """Move the followers."""
         self._command, self._gain = world.aircraft["command"][1:], change.roll_gain
         n = len(self._command)
-        if np.any(change.displacement_m) and world.fleet is not None:
+        if np.any(change.displacement_m) and isinstance(world.fleet, JsbsimFleet):
             right = course(world.aircraft["truth"]["velocity_ned"][1:]) + 0.5 * math.pi
             shift = np.stack((np.cos(right), np.sin(right), np.ones(n)), axis=-1)
             distance = np.broadcast_to(change.displacement_m, n)

@@ -43,6 +43,8 @@ class Element(NamedTuple):
         folders: where JSBSim looks for the file of its attribute `file`, and of which kind the
             file is; empty: there is no such attribute.
         kinds: root elements of that file; empty: the element's own name.
+        not_translated: names of those children and attributes that `compiled` does not translate;
+            None: it does not translate the element. JSBSim flies an aircraft that has one of them.
     """
 
     children: str = ""
@@ -51,6 +53,7 @@ class Element(NamedTuple):
     name: Name = Name.WORD
     folders: tuple[str, ...] = ()
     kinds: str = ""
+    not_translated: str | None = None
 
 
 MAIN = "fdm_config"
@@ -63,11 +66,12 @@ _HERE = (".",)
 _PROPULSION = (".", "Engines", "engines", "Engine", "engine")
 _SYSTEMS = (".", "Systems", "systems")
 
+_RANDOM = "random urandom"
 _TEXT = "documentation description limitation note reference"
 _OPERATIONS = (
     "sum difference product quotient pow sqrt toradians todegrees exp log2 ln log10 abs sign sin "
     "cos tan asin acos atan atan2 min max avg fraction integer floor ceil fmod roundmultiple mod "
-    "random urandom pi rotation_alpha_local rotation_beta_local rotation_gamma_local "
+    f"{_RANDOM} pi rotation_alpha_local rotation_beta_local rotation_gamma_local "
     "rotation_bf_to_wf rotation_wf_to_bf lt le gt ge eq nq and or not ifthen switch interpolate1d"
 )
 _ARGUMENTS = f"property p value v table t {_OPERATIONS} {_TEXT}"
@@ -85,6 +89,7 @@ _SENSOR = (
     f"{_COMPONENT} lag noise quantization drift_rate bias gain axis:sensed location orientation"
 )
 _ENGINE = f"{_MODEL} table location orient feed thruster"
+_MOUNTING = "property function table location orient feed thruster"
 _CELL = (
     f"location x_radius y_radius z_radius x_width y_width z_width radius width max_overpressure "
     f"valve_coefficient fullness heat blower_input {_TEXT}"
@@ -97,6 +102,7 @@ _ROWS = {
         "fileheader metrics mass_balance ground_reactions external_reactions buoyant_forces "
         f"propulsion system autopilot flight_control aerodynamics {_TEXT}",
         "version release",
+        not_translated="external_reactions buoyant_forces",
     ),
     f"fileheader {_TEXT}": Element(text=Text.PROSE),
     # sizes and masses
@@ -104,31 +110,40 @@ _ROWS = {
         "wingarea wingspan chord wing_incidence htailarea htailarm vtailarea vtailarm location "
         f"{_MODEL}",
         folders=_HERE,
+        not_translated="property function",
     ),
-    "wingarea wingspan chord": Element(text=Text.POSITIVE),
-    "htailarea vtailarea": Element(text=Text.NOT_NEGATIVE),
-    "location drain_location direction": Element(f"x y z {_TEXT}"),
-    "orient orientation": Element(f"roll pitch yaw {_TEXT}"),
+    "wingarea wingspan chord": Element(text=Text.POSITIVE, not_translated=""),
+    "htailarea vtailarea": Element(text=Text.NOT_NEGATIVE, not_translated=""),
+    "location drain_location direction": Element(f"x y z {_TEXT}", not_translated=""),
+    "orient orientation": Element(f"roll pitch yaw {_TEXT}", not_translated=""),
     "mass_balance": Element(
         f"ixx iyy izz ixy ixz iyz emptywt location pointmass {_MODEL}",
         "negated_crossproduct_inertia",
         folders=_HERE,
+        not_translated="property function",
     ),
-    "emptywt ixx iyy izz": Element(text=Text.POSITIVE),
-    "pointmass": Element(f"weight location form ixx:own iyy:own izz:own ixy ixz iyz {_TEXT}"),
-    "own": Element(text=Text.NOT_NEGATIVE),
-    "weight": Element(text=Text.NOT_NEGATIVE),
-    "form": Element(f"radius length {_TEXT}", "shape"),
-    "radius length": Element(text=Text.NOT_NEGATIVE),
+    "emptywt ixx iyy izz": Element(text=Text.POSITIVE, not_translated=""),
+    "pointmass": Element(
+        f"weight location form ixx:own iyy:own izz:own ixy ixz iyz {_TEXT}", not_translated=""
+    ),
+    "own": Element(text=Text.NOT_NEGATIVE, not_translated=""),
+    "weight": Element(text=Text.NOT_NEGATIVE, not_translated=""),
+    "form": Element(f"radius length {_TEXT}", "shape", not_translated=""),
+    "radius length": Element(text=Text.NOT_NEGATIVE, not_translated=""),
     # ground and other forces
-    "ground_reactions": Element(f"contact {_MODEL}", folders=_HERE),
+    "ground_reactions": Element(
+        f"contact {_MODEL}", folders=_HERE, not_translated="property function"
+    ),
     "contact": Element(
         "location orientation static_friction dynamic_friction rolling_friction spring_coeff "
         "damping_coeff damping_coeff_rebound max_steer castered brake_group retractable "
         f"strut_force table {_TEXT}",
         "type",
+        not_translated="strut_force table",
     ),
-    "damping_coeff damping_coeff_rebound": Element(attributes="type", text=Text.VALUE),
+    "damping_coeff damping_coeff_rebound": Element(
+        attributes="type", text=Text.VALUE, not_translated=""
+    ),
     "strut_force": Element(f"function {_TEXT}"),
     "external_reactions": Element(f"force moment {_MODEL}", folders=_HERE),
     "force moment": Element(f"location direction function {_TEXT}", "frame", name=Name.REACTION),
@@ -137,30 +152,44 @@ _ROWS = {
     "ballonet": Element(_CELL, "type"),
     "heat blower_input": Element(f"function {_TEXT}"),
     # propulsion
-    "propulsion": Element(f"engine tank dump-rate refuel-rate {_MODEL}", folders=_PROPULSION),
+    "propulsion": Element(
+        f"engine tank dump-rate refuel-rate {_MODEL}",
+        folders=_PROPULSION,
+        not_translated="dump-rate refuel-rate property function",
+    ),
     "dump-rate refuel-rate": Element(text=Text.NOT_NEGATIVE),
     "engine": Element(
-        f"feed thruster location orient {ENGINES} {_TEXT}", folders=_PROPULSION, kinds=ENGINES
+        f"feed thruster location orient {ENGINES} {_TEXT}",
+        folders=_PROPULSION,
+        kinds=ENGINES,
+        not_translated="location orient",
     ),
     "thruster": Element(
-        f"location orient sense p_factor {THRUSTERS} {_TEXT}", folders=_PROPULSION, kinds=THRUSTERS
+        f"location orient sense p_factor {THRUSTERS} {_TEXT}",
+        folders=_PROPULSION,
+        kinds=THRUSTERS,
+        not_translated="p_factor",
     ),
     "tank": Element(
         "location drain_location radius inertia_factor grain_config capacity contents density "
         f"temperature standpipe unusable-volume priority type {_TEXT}",
         "type number",
+        not_translated="grain_config",
     ),
-    "capacity density": Element(text=Text.POSITIVE),
-    "contents inertia_factor standpipe unusable-volume priority": Element(text=Text.NOT_NEGATIVE),
+    "capacity density": Element(text=Text.POSITIVE, not_translated=""),
+    "contents inertia_factor standpipe unusable-volume priority": Element(
+        text=Text.NOT_NEGATIVE, not_translated=""
+    ),
     "grain_config": Element(f"bore_diameter length {_TEXT}", "type"),
     "bore_diameter": Element(text=Text.NOT_NEGATIVE),
     # engines
-    "electric_engine": Element(f"power {_ENGINE}"),
+    "electric_engine": Element(f"power {_ENGINE}", not_translated=_MOUNTING),
     "brushless_dc_motor": Element(
-        f"maxvolts velocityconstant coilresistance noloadcurrent {_ENGINE}"
+        f"maxvolts velocityconstant coilresistance noloadcurrent {_ENGINE}",
+        not_translated=_MOUNTING,
     ),
-    "maxvolts velocityconstant coilresistance": Element(text=Text.POSITIVE),
-    "power noloadcurrent": Element(text=Text.NOT_NEGATIVE),
+    "maxvolts velocityconstant coilresistance": Element(text=Text.POSITIVE, not_translated=""),
+    "power noloadcurrent": Element(text=Text.NOT_NEGATIVE, not_translated=""),
     "piston_engine": Element(
         "air-intake-impedance-factor boost-loss-factor boostmanual boostoverride bore bsfc "
         "compression-ratio cooling-factor cycles cylinder-head-mass cylinders displacement "
@@ -195,8 +224,10 @@ _ROWS = {
         "ixx diameter numblades gearratio minpitch maxpitch minrpm maxrpm constspeed reversepitch "
         f"ct_factor cp_factor p_factor sense table {_MODEL}",
         "version",
+        not_translated="minpitch maxpitch minrpm maxrpm constspeed reversepitch p_factor sense "
+        "property function",
     ),
-    "diameter numblades gearratio": Element(text=Text.POSITIVE),
+    "diameter numblades gearratio": Element(text=Text.POSITIVE, not_translated=""),
     "nozzle": Element(f"area diam expr nzl_eff pe {_MODEL}"),
     "direct": Element(_MODEL),
     "rotor": Element(
@@ -211,17 +242,25 @@ _ROWS = {
     ),
     "massmoment": Element(attributes="Xunit", text=Text.VALUE),
     # controls
-    "system autopilot flight_control": Element(f"channel {_MODEL}", "execrate", folders=_SYSTEMS),
-    "channel": Element(f"{_COMPONENTS} {_TEXT}", "execute execrate"),
-    "output": Element(text=Text.WRITES),
+    "system autopilot flight_control": Element(
+        f"channel {_MODEL}", "execrate", folders=_SYSTEMS, not_translated="function execrate"
+    ),
+    "channel": Element(
+        f"{_COMPONENTS} {_TEXT}", "execute execrate", not_translated="execute execrate"
+    ),
+    "output": Element(text=Text.WRITES, not_translated=""),
     "delay": Element(attributes="type", text=Text.VALUE),
-    "clipto": Element(f"min:limit max:limit {_TEXT}", "type"),
-    "domain range alphalimits hysteresis_limits": Element(f"min:limit max:limit {_TEXT}"),
+    "clipto": Element(f"min:limit max:limit {_TEXT}", "type", not_translated=""),
+    "domain range": Element(f"min:limit max:limit {_TEXT}", not_translated=""),
+    "alphalimits hysteresis_limits": Element(f"min:limit max:limit {_TEXT}"),
     _FILTERS: Element(f"c1 c2 c3 c4 c5 c6 trigger {_COMPONENT}", "type", name=Name.CONTROL),
-    "summer": Element(f"bias {_COMPONENT}", "type", name=Name.CONTROL),
+    "summer": Element(f"bias {_COMPONENT}", "type", name=Name.CONTROL, not_translated="init delay"),
     "deadband": Element(f"width gain {_COMPONENT}", "type", name=Name.CONTROL),
     "pure_gain scheduled_gain aerosurface_scale": Element(
-        f"gain domain range zero_centered table {_COMPONENT}", "type", name=Name.CONTROL
+        f"gain domain range zero_centered table {_COMPONENT}",
+        "type",
+        name=Name.CONTROL,
+        not_translated="init delay",
     ),
     "selector": Element(f"default test {_COMPONENT}", "type", name=Name.CONTROL),
     "default": Element(attributes="value", text=Text.VALUE),
@@ -229,7 +268,9 @@ _ROWS = {
     "kinematic": Element(f"traverse noscale {_COMPONENT}", "type", name=Name.CONTROL),
     "traverse": Element(f"setting {_TEXT}"),
     "setting": Element(f"position time {_TEXT}"),
-    "fcs_function": Element(f"function {_COMPONENT}", "type", name=Name.CONTROL),
+    "fcs_function": Element(
+        f"function {_COMPONENT}", "type", name=Name.CONTROL, not_translated="init delay"
+    ),
     "pid": Element(f"kp ki kd pvdot trigger {_COMPONENT}", "type", name=Name.CONTROL),
     "ki": Element(attributes="type", text=Text.VALUE),
     "actuator": Element(
@@ -250,21 +291,32 @@ _ROWS = {
     "waypoint_heading waypoint_distance": Element(_WAYPOINT, "type", name=Name.CONTROL),
     "distributor": Element(f"case {_COMPONENT}", "type", name=Name.CONTROL),
     "case": Element(f"test property:set {_TEXT}"),
-    "set": Element(attributes="value persistent", text=Text.WRITES),
+    "set": Element(attributes="value persistent", text=Text.WRITES, not_translated="persistent"),
     # aerodynamics and functions
     "aerodynamics": Element(
         "axis alphalimits hysteresis_limits aero_ref_pt_shift_x aero_ref_pt_shift_y "
         f"aero_ref_pt_shift_z {_MODEL}",
         folders=_HERE,
+        not_translated="alphalimits hysteresis_limits aero_ref_pt_shift_x aero_ref_pt_shift_y "
+        "aero_ref_pt_shift_z",
     ),
-    "axis": Element(f"function {_TEXT}", "frame"),
+    "axis": Element(f"function {_TEXT}", "frame", not_translated="frame unit"),
     "aero_ref_pt_shift_x aero_ref_pt_shift_y aero_ref_pt_shift_z": Element(f"function {_TEXT}"),
-    "function": Element(_ARGUMENTS, "type copyto", name=Name.PROPERTY),
-    _OPERATIONS: Element(_ARGUMENTS),
-    "random urandom": Element(attributes="seed mean stddev lower upper"),
-    "table t": Element(f"independentVar tableData {_TEXT}", "type lookup", name=Name.PROPERTY),
-    "independentVar": Element(attributes="lookup", text=Text.VALUE),
-    "tableData": Element(f"tableData {_TEXT}", "breakPoint", text=Text.VALUE),
+    "function": Element(
+        _ARGUMENTS, "type copyto", name=Name.PROPERTY, not_translated=f"copyto {_RANDOM}"
+    ),
+    _OPERATIONS: Element(_ARGUMENTS, not_translated=_RANDOM),
+    _RANDOM: Element(attributes="seed mean stddev lower upper"),
+    "table t": Element(
+        f"independentVar tableData {_TEXT}",
+        "type lookup",
+        name=Name.PROPERTY,
+        not_translated="",
+    ),
+    "independentVar": Element(attributes="lookup", text=Text.VALUE, not_translated=""),
+    "tableData": Element(
+        f"tableData {_TEXT}", "breakPoint", text=Text.VALUE, not_translated="breakPoint"
+    ),
 }
 
 GRAMMAR = {name: row for names, row in _ROWS.items() for name in names.split()}
@@ -306,7 +358,7 @@ def row_of(element: Element, child: str) -> Element | None:
     return None if row is None else GRAMMAR.get(row, _VALUE)
 
 
-_VALUE = Element(text=Text.VALUE)
+_VALUE = Element(text=Text.VALUE, not_translated="")
 _CHILDREN = {
     element: {
         name: row or name for name, _, row in (e.partition(":") for e in element.children.split())

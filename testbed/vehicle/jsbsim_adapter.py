@@ -71,6 +71,7 @@ def impossible_inertia(tensor: Array) -> str | None:
     return None
 
 
+_TILT = 1.0  # rad, of the attitudes in which contact points are found
 _INCIDENCE = 0.02  # rad, far from the stall
 _ALPHAS = np.radians(np.arange(0.0, 45.1, 0.1))  # searched for the stall
 
@@ -97,7 +98,31 @@ def measured_airframe(model: JsbsimModel) -> Airframe:
         mass=mass * POUND / FOOT,
         lift_slope=(high - low) / _INCIDENCE / size["area"],
         stall_angle=math.inf if largest == len(lifts) - 1 else float(_ALPHAS[largest]),
+        contact_radius=_contact_radius(model),
     )
+
+
+def _contact_radius(model: JsbsimModel) -> float:
+    """Return the distance of the farthest contact point from the centre of gravity, m.
+
+    JSBSim tells the heights of its contact points: their distances below the centre of gravity in
+    three attitudes are those along the axes of the body.
+    """
+    points = range(int(model.node("gear/num-units").get_double_value()))
+    heights = [
+        model.find(f"gear/unit[{k}]/AGL-ft") or model.node(f"contact/unit[{k}]/AGL-ft")
+        for k in points
+    ]
+    below = []
+    for roll, pitch in ((0.0, 0.0), (0.0, _TILT), (_TILT, 0.0)):
+        placement = Placement((20.0, 0.0, 0.0), STILL, roll, pitch, 0.0)
+        model.place(placement, Controls(0.0, 0.0, 0.0, 0.0), spin=False)
+        centre = model.node("position/h-agl-ft").get_double_value()
+        below.append([centre - each.get_double_value() for each in heights])
+    z, pitched, rolled = np.array(below).reshape(3, -1) * FOOT
+    x = (z * math.cos(_TILT) - pitched) / math.sin(_TILT)
+    y = (rolled - z * math.cos(_TILT)) / math.sin(_TILT)
+    return float(np.max(np.sqrt(x * x + y * y + z * z), initial=0.0))
 
 
 def _lift(model: JsbsimModel, alpha: float) -> float:

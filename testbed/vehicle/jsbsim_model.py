@@ -6,7 +6,7 @@ JSBSim's units and signs occur only here and in `jsbsim_io`.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -26,8 +26,8 @@ _TURNS = ("p-rad_sec", "q-rad_sec", "r-rad_sec", "roll-coefficient")
 _DEFLECTED = ("left-aileron", *SURFACES[1:])  # ailerons deflect together
 _MAX_SPIN_STEPS = 2000  # until the propeller and the surfaces have settled
 _SETTLING_HZ = 200  # steps per second meanwhile, whatever the rate of the flight
-_INTEGRATOR_STEPS = 6  # one more than JSBSim's integrators use
-_NO_TIME = 1e-12  # s
+INTEGRATOR_STEPS = 6  # one more than JSBSim's integrators use
+NO_TIME = 1e-12  # s
 POUND = 4.4482216152605  # N, of force
 _SLUG_FOOT2 = POUND * FOOT  # kg m²; a slug is a pound-force per foot/s²
 _RANKINE = 1.8  # degrees Rankine per kelvin
@@ -48,8 +48,21 @@ class Traits:
     lags_by_step: bool  # surfaces move by the time flown: not in a step of no time
 
 
+@dataclass(frozen=True, slots=True)
+class Placing:
+    """What determines the state after an initial condition of JSBSim."""
+
+    angles: Vector  # roll, pitch and yaw of which JSBSim makes the attitude, rad
+    before: dict[str, float]  # watched properties before it
+    after: dict[str, float]  # and after it
+
+
 class JsbsimModel:
-    """A JSBSim executive with an aircraft loaded."""
+    """A JSBSim executive with an aircraft loaded.
+
+    Attributes:
+        placing: the last initial condition; None before it, or if nothing is watched.
+    """
 
     def __init__(
         self,
@@ -92,6 +105,9 @@ class JsbsimModel:
         self._attitude = [
             self.node(f"ic/{name}-rad").set_double_value for name in ("phi", "theta", "psi-true")
         ]
+        self._angles = [self.node(f"ic/{name}-rad").get_double_value for name in ("phi", "theta")]
+        self.placing: Placing | None = None
+        self._watched: dict[str, Callable[[], float]] = {}
         self._speeds = [self.node(f"ic/{name}-fps").set_double_value for name in "uvw"]
         self._rates = [self.node(f"ic/{name}-rad_sec").set_double_value for name in "pqr"]
         self._accelerations = [
@@ -120,6 +136,14 @@ class JsbsimModel:
     def find(self, name: str) -> Any:  # noqa: ANN401
         """Return the node of a property; None if the aircraft does not have it."""
         return self._manager.get_node(name)
+
+    def watch(self, names: Iterable[str]) -> None:
+        """Keep the values of properties, of those that there are, before and after placements."""
+        nodes = {name: self.find(name) for name in names}
+        self._watched = {name: node.get_double_value for name, node in nodes.items() if node}
+
+    def _look(self) -> dict[str, float]:
+        return {name: get() for name, get in self._watched.items()}
 
     def warm(self, temperature_offset: float) -> None:
         """Make the air warmer than the standard atmosphere, at all heights, by an offset, K.
@@ -242,8 +266,8 @@ class JsbsimModel:
         if any(wind_ned):
             # The initial condition had no wind. Integrate over next to no time until accelerations
             # with the wind fill the memory of JSBSim's integrators; suspended runs do not.
-            with self._step(_NO_TIME):
-                for _ in range(_INTEGRATOR_STEPS):
+            with self._step(NO_TIME):
+                for _ in range(INTEGRATOR_STEPS):
                     self.fdm.run()
 
     def _settle(self) -> None:
@@ -270,7 +294,7 @@ class JsbsimModel:
     def accelerations_after_no_time(self, controls: Controls) -> Array:
         """Return `accelerations` at the end of a step of no time with these commands."""
         self._command(controls)
-        with self._step(_NO_TIME):
+        with self._step(NO_TIME):
             self.fdm.run()
         return self._read_accelerations()
 
@@ -315,8 +339,12 @@ class JsbsimModel:
 
     def _initialise(self, placement: Placement, course: float, wind_ned: Vector) -> None:
         angles = (placement.roll, placement.pitch, course - placement.course)
-        for set_value, value in zip(self._attitude, angles, strict=True):
+        before = self._look()
+        *set_others, set_yaw = self._attitude
+        for set_value, value in zip(set_others, angles, strict=False):
             set_value(value)
+        roll, pitch = (get() for get in self._angles)  # changed by rounding
+        set_yaw(angles[2])
         velocity = placement.velocity_body
         if any(wind_ned):
             to_body = rotation_ned_body(np.array(angles)).T
@@ -326,6 +354,8 @@ class JsbsimModel:
         for set_value, value in zip(self._rates, placement.rates_body, strict=True):
             set_value(value)
         self.fdm.run_ic()
+        if self._watched:
+            self.placing = Placing((roll, pitch, angles[2]), before, self._look())
 
 
 def find_traits(model: JsbsimModel) -> Traits:

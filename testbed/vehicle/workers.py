@@ -150,13 +150,6 @@ class ParallelFleet(JsbsimFleet):
         self._leave(np.concatenate(self._theirs).tolist())
         return workers
 
-    def _leave(self, which: Sequence[int]) -> None:
-        """Leave these aircraft to other processes: their numbers are in the shared memory."""
-        for i in which:
-            self._runs[i] = None
-            for nodes in (self._getters, self._air_getters, self._setters, self._wind_setters):
-                nodes[i] = []
-
     def _work(self, which: Indices) -> Callable[[], None]:
         """Return what a worker with these aircraft does at each step; called in that process."""
         rows = which.tolist()

@@ -1,0 +1,209 @@
+"""One kind of aircraft as a compiled function of rows of numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from testbed.core.compile import entry_of_source
+from testbed.core.records import Array
+from testbed.vehicle.compiled.columns import COLUMN, FRAME, START, WIND
+from testbed.vehicle.compiled.elements import XmlNode, read_aircraft
+from testbed.vehicle.compiled.frame import attitude_rate
+from testbed.vehicle.compiled.rows import write_attitude
+from testbed.vehicle.compiled.translate import translate
+from testbed.vehicle.environment import INTEGRATORS, Integrators
+from testbed.vehicle.jsbsim_io import AIR_PROPERTIES, BATTERY_PROPERTIES
+from testbed.vehicle.jsbsim_model import INTEGRATOR_STEPS, NO_TIME, JsbsimModel, Placing
+
+_INCH = 1.0 / 12.0
+_MARGIN = 3.0  # ft, of the height in which contact points are expected to touch the ground
+_STATE_BEFORE = next(each for each in FRAME if each.name == "uvw_dot")
+_MASSES = [
+    column for each in FRAME if each.name in ("mass", "inertia", "cg") for column in each.columns
+]
+
+
+class CompiledAircraft:
+    """The flight model of one aircraft folder for one set of integrators.
+
+    Attributes:
+        folder: of the aircraft.
+        columns: index of each column of a row by its name, mostly a property of JSBSim, in
+            JSBSim's units.
+        air_columns: (5,) columns of AIR_PROPERTIES and BATTERY_PROPERTIES; -1: none.
+        clearance: ft, height above the terrain below which a part may touch the ground.
+        run_rows: the compiled entry, `run_rows(state, wind, controls, first, changed, dt, ticks,
+            clearance, which, status)`; see `testbed.vehicle.compiled`.
+        source: of the module with the entry.
+    """
+
+    def __init__(
+        self, folder: Path, model: JsbsimModel, integrators: Integrators = INTEGRATORS
+    ) -> None:
+        """Translate the aircraft; the entry is compiled when it is prepared or first called.
+
+        Args:
+            folder: of the aircraft.
+            model: the aircraft in JSBSim, for sizes and for its centre of gravity.
+            integrators: of the flight model.
+
+        Raises:
+            NotTranslated: the aircraft has a part that only JSBSim flies.
+        """
+        self.folder, self.integrators = Path(folder).resolve(), integrators
+        self._translation = translate(self.folder, _reader(model), integrators)
+        self.columns, self.source = self._translation.columns, self._translation.source
+        wanted = (*AIR_PROPERTIES, *BATTERY_PROPERTIES)
+        self.air_columns = np.array([self.columns.get(each, -1) for each in wanted])
+        self.clearance = _clearance(read_aircraft(self.folder), model)
+        self.run_rows: Callable[..., None] = entry_of_source(
+            self._translation.function, self._translation.source
+        )
+
+    def row_of(self, model: JsbsimModel) -> Array:
+        """Return the state (S,) of a model that `JsbsimModel.place` has placed.
+
+        JSBSim does not show the older derivatives of its integrators. The initial condition fills
+        them from the first of its two evaluations; both are repeated here, and the steps without
+        time by which `place` continues in wind.
+
+        Raises:
+            RuntimeError: the model was not placed.
+        """
+        if model.placing is None:
+            raise RuntimeError("the model has not been placed")
+        return _Placement(self, model, model.placing).row()
+
+    def watch(self, model: JsbsimModel) -> None:
+        """Let a model keep what `row_of` needs of its placements from now on."""
+        model.watch(self.columns)
+
+    def run_row(self, row: Array, dt: float, ticks: int) -> int:
+        """Advance one row (S,) by steps of dt, s; return its status."""
+        status = np.zeros(1, dtype=np.uint8)
+        no_wind, no_controls, unchanged = (
+            np.zeros((1, 7)),
+            np.zeros((1, 4)),
+            np.zeros(2, dtype=bool),
+        )
+        which = np.zeros(1, dtype=np.intp)
+        controls = no_controls, no_controls
+        never = -math.inf  # placed rows may be near the ground
+        rows = row.reshape(1, -1)
+        self.run_rows(
+            rows, no_wind, *controls, unchanged, dt, np.array([ticks]), never, which, status
+        )
+        return int(status[0])
+
+    @property
+    def memories(self) -> dict[str, tuple[tuple[str, ...], ...]]:
+        """Columns of older derivatives, by the name of the derivative, the newest first."""
+        return self._translation.memories
+
+    @property
+    def own(self) -> tuple[str, ...]:
+        """Columns of the aircraft's own properties."""
+        return self._translation.own
+
+    @property
+    def initial(self) -> dict[str, float]:
+        """Start values of columns that JSBSim has no property for."""
+        return self._translation.initial
+
+
+def _reader(model: JsbsimModel) -> Callable[[str], float | None]:
+    def read(name: str) -> float | None:
+        node = model.find(name)
+        return None if node is None else float(node.get_double_value())
+
+    return read
+
+
+def _clearance(root: XmlNode, model: JsbsimModel) -> float:
+    """Return the largest distance of a contact point from the centre of gravity, ft, and margin."""
+    cg = [model.node(f"inertia/cg-{each}-in").get_double_value() for each in "xyz"]
+    ground = root.find("ground_reactions")
+    points = (
+        [each.child("location").vector("IN") for each in ground.all("contact")] if ground else []
+    )
+    return _INCH * max((math.dist(cg, point) for point in points), default=0.0) + _MARGIN
+
+
+class _Placement:
+    """Repeats what JSBSim's initial condition does, as a row."""
+
+    def __init__(self, aircraft: CompiledAircraft, model: JsbsimModel, placing: Placing) -> None:
+        self._aircraft, self._model, self._placing = aircraft, model, placing
+        self._columns = aircraft.columns
+
+    def row(self) -> Array:
+        aircraft, columns = self._aircraft, self._columns
+        row = np.zeros(len(columns))
+        placing = self._placing
+        # JSBSim adds the tanks a frame late
+        if any(placing.before[name] != placing.after[name] for name in _MASSES):
+            raise RuntimeError("the mass changed when placed: place the model with spin")
+        for name, index in columns.items():
+            if name in aircraft.initial:
+                row[index] = aircraft.initial[name]
+            elif (value := placing.after.get(name)) is not None:
+                row[index] = value
+        # the first evaluation begins with what the frame before has left
+        for name in (*_STATE_BEFORE.columns, *aircraft.own):
+            if (value := placing.before.get(name)) is not None:
+                row[columns[name]] = value
+        write_attitude(row.reshape(1, -1), 0, _quaternion(*placing.angles))
+        self._evaluate(row)
+        for derivative, olds in aircraft.memories.items():
+            for old in olds:
+                self._copy(row, derivative, old)
+        memory = row.copy()
+        self._evaluate(row)
+        for olds in aircraft.memories.values():
+            for name in (name for old in olds for name in old):
+                row[columns[name]] = memory[columns[name]]
+        return self._in_wind(row)
+
+    def _evaluate(self, row: Array) -> None:
+        self._aircraft.run_row(row, 0.0, 1)
+
+    def _copy(self, row: Array, derivative: str, old: tuple[str, ...]) -> None:
+        """Copy a newest derivative to the columns of an older one."""
+        for k, name in enumerate(old):
+            row[self._columns[name]] = self._newest(row, derivative)[k]
+
+    def _newest(self, row: Array, derivative: str) -> Array:
+        if derivative in START:
+            first = START[derivative]
+            return row[first : first + 4]
+        q = row[START["attitude"] :]
+        x, y, z = row[START["rates"] : START["rates"] + 3]
+        return np.array(attitude_rate((q[0], q[1], q[2], q[3]), (x, y, z)))
+
+    def _in_wind(self, row: Array) -> Array:
+        """Continue with the wind of the placement, as `JsbsimModel.place` does."""
+        wind = [node.get_double_value() for node in self._model.winds]
+        row[[COLUMN[name] for name in WIND.columns]] = wind
+        if any(wind):
+            self._aircraft.run_row(row, NO_TIME, INTEGRATOR_STEPS)
+        return row
+
+
+def _quaternion(roll: float, pitch: float, yaw: float) -> Array:
+    """Return the quaternion (4,) of Euler angles, L to B."""
+    cr, cp, cy = math.cos(0.5 * roll), math.cos(0.5 * pitch), math.cos(0.5 * yaw)
+    sr, sp, sy = math.sin(0.5 * roll), math.sin(0.5 * pitch), math.sin(0.5 * yaw)
+    q = np.array(
+        [
+            cr * cp * cy + sr * sp * sy,
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+        ]
+    )
+    length = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    return q if abs(length - 1.0) < 1e-10 else q * (1.0 / length)

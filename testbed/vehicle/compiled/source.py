@@ -1,0 +1,184 @@
+"""The source of the step of one aircraft, written line by line.
+
+Each property is a variable. One that is read before it is written in a frame has the value of the
+frame before: it is state, and has a column of the row.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import NamedTuple
+
+from testbed.vehicle.airframe_grammar import JSBSIM_PROPERTIES
+from testbed.vehicle.compiled.columns import COLUMN
+from testbed.vehicle.compiled.elements import XmlNode
+
+_INDENT = "    "
+_INDEX_0 = re.compile(r"\[0\](?=/|$)")
+_CONSTANT = ("metrics/",)  # groups of properties that loading sets and no step changes
+_WRITABLE = ("fcs", "aero", "systems")  # groups of JSBSim's that aircraft write
+
+
+class _Line(NamedTuple):
+    text: str
+    provides: str = ""  # the property of the frame that the line is for, if only for it
+
+
+def literal(value: float) -> str:
+    """Return a number as source."""
+    if math.isinf(value):
+        return "inf" if value > 0.0 else "(-inf)"
+    return repr(value) if value >= 0.0 else f"({value!r})"
+
+
+def plain(name: str) -> str:
+    """Return the name of a property as JSBSim looks it up."""
+    return _INDEX_0.sub("", "-".join(name.split()))
+
+
+class StepSource:
+    """Lines of the step, and the variables in it.
+
+    Attributes:
+        helpers: functions that the step calls.
+        initial: start values of the aircraft's own columns that JSBSim has no property for.
+    """
+
+    def __init__(self, constant: Callable[[str], float | None]) -> None:
+        """Start without lines.
+
+        Args:
+            constant: returns the value of a property after loading; None: there is none.
+        """
+        self._constant = constant
+        self._lines: list[_Line] = []
+        self._depth = 0
+        self._declared: set[str] = set()  # written somewhere in the frame, or given by a file
+        self._variables: dict[str, str] = {}  # by property
+        self._loaded: dict[str, None] = {}  # read before they are written, in this order
+        self._written: dict[str, None] = {}
+        self._read: set[str] = set()
+        self._frame: set[str] = set()  # properties that the frame provides
+        self._count = 0
+        self.helpers: list[str] = []
+        self.initial: dict[str, float] = {}
+
+    # properties
+
+    def declare(self, *names: str) -> None:
+        """Announce properties that the aircraft's files write or give a value."""
+        self._declared.update(map(plain, names))
+
+    def declare_frame(self, *names: str) -> None:
+        """Announce properties that the frame provides."""
+        self._frame.update(names)
+        self._declared.update(names)
+
+    def variable(self, name: str) -> str:
+        """Return the variable of a property."""
+        if name not in self._variables:
+            base = "p_" + re.sub(r"\W", "_", name)
+            taken = set(self._variables.values())
+            while base in taken:
+                base += "_"
+            self._variables[name] = base
+        return self._variables[name]
+
+    def read(self, name: str, node: XmlNode) -> str:
+        """Return the expression of a property that an element reads."""
+        name = name.strip()
+        if name.startswith("-"):
+            return f"(-{self.read(name[1:], node)})"
+        name = plain(name)
+        if name == "simulation/dt":
+            return "dt"
+        if name == "forces/hold-down":
+            return "0.0"  # of aircraft in flight
+        if name.startswith(_CONSTANT) and name not in self._declared:
+            if (value := self._constant(name)) is None:
+                node.fail(f"reads {name}, which JSBSim does not have")
+            return literal(value)
+        if name not in self._declared:
+            node.fail(f"reads {name}, which is not translated")
+        self._read.add(name)
+        if name not in self._written:
+            self._loaded[name] = None
+        return self.variable(name)
+
+    def write(self, name: str, value: str, node: XmlNode) -> None:
+        """Set a property that the aircraft's files write."""
+        name = plain(name)
+        group = re.split(r"[/\[]", name, maxsplit=1)[0]
+        if name in self._frame or (group in JSBSIM_PROPERTIES and group not in _WRITABLE):
+            node.fail(f"writes {name}, which the compiled model keeps to itself")
+        self.emit(f"{self.variable(name)} = {value}")
+        self._declared.add(name)
+        self._written[name] = None
+
+    def provide(self, name: str, value: str) -> None:
+        """Set a property of the frame; the line goes if no file reads the property."""
+        self._lines.append(_Line(self._indented(f"{self.variable(name)} = {value}"), name))
+        self._written[name] = None
+
+    def carry(self, name: str) -> str:
+        """Return the variable of a property of the frame that is state."""
+        self.declare_frame(name)
+        self._loaded[name] = self._written[name] = None
+        return self.variable(name)
+
+    def remember(self, name: str, initial: float) -> str:
+        """Return the variable of a state that is not a property of JSBSim's."""
+        self.initial[name] = initial
+        return self.carry(name)
+
+    # lines
+
+    def emit(self, text: str) -> None:
+        """Write lines."""
+        self._lines += [_Line(self._indented(line)) for line in text.strip("\n").splitlines()]
+
+    def assign(self, value: str) -> str:
+        """Return a new variable with a value."""
+        name = self.name()
+        self.emit(f"{name} = {value}")
+        return name
+
+    def name(self, prefix: str = "t") -> str:
+        """Return a name that is not used yet."""
+        self._count += 1
+        return f"{prefix}{self._count}"
+
+    @contextmanager
+    def block(self, head: str) -> Iterator[None]:
+        """Write a line, and indent those of the block."""
+        self.emit(head)
+        self._depth += 1
+        yield
+        self._depth -= 1
+
+    def _indented(self, line: str) -> str:
+        return f"{_INDENT * self._depth}{line}" if line.strip() else ""
+
+    def lines(self) -> list[str]:
+        """Return the lines, without properties that nothing reads."""
+        read = self._read
+        return [each.text for each in self._lines if not each.provides or each.provides in read]
+
+    def loaded(self) -> list[str]:
+        """Return the properties, beside those of the frame, that are read before written."""
+        return [each for each in self._loaded if each not in COLUMN]
+
+    def loaded_frame(self) -> list[str]:
+        """Return the columns of the frame that the files read before they are written."""
+        return [each for each in self._loaded if each in COLUMN]
+
+    def stored(self) -> list[str]:
+        """Return the properties that are written and read before, or that the files write."""
+        return [
+            each
+            for each in self._written
+            if each not in COLUMN and (each in self._loaded or each not in self._frame)
+        ]
