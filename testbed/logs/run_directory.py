@@ -106,7 +106,7 @@ def list_run_names(logs: Path = LOGS, scenario: str = "") -> list[str]:
 
 
 def _create_or_use(out: Path) -> Path:
-    if out.is_file():
+    if os.path.isfile(out):  # false for names that no file can have
         text = "cannot make the run directory: it is a file; name another one"
         raise LogError(f"out: {out}: {text}")
     try:

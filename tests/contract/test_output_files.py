@@ -353,7 +353,7 @@ def test_respond_names_the_gyro_filter(tmp_path):
     assert (tmp_path / "own.csv").read_text() != (tmp_path / "sitl.csv").read_text()
 
 
-def test_unwritable_or_impossible_names_are_refused_before_work(tmp_path):
+def test_impossible_names_are_refused_before_work(tmp_path):
     (tmp_path / "file").touch()
     refuse_all("outputs", tmp_path)
 

@@ -148,16 +148,17 @@ def test_compiled_check_finds_every_close_pair(seed):
         aircraft["truth"]["position_ned"] = positions
         lost = rng.random(6) < 0.3
         aircraft["lost"] = lost
-        find_losses(aircraft, np.ones(len(aircraft)), False, limit, own, watching)  # writes `down`
+        lowest = np.ones(len(aircraft))
+        find_losses(aircraft, lowest, False, limit, own, watching)  # writes `down`
         expected = any(
             math.dist(positions[i], positions[j]) < max(limit, max(own[i], own[j]))
             if not np.isnan(own[[i, j]]).any()
             else math.dist(positions[i], positions[j]) < limit
             for i, j in itertools.combinations(np.flatnonzero(~lost), 2)
         )
-        assert find_losses(aircraft, np.ones(len(aircraft)), False, limit, own, watching) is expected
+        assert find_losses(aircraft, lowest, False, limit, own, watching) is expected
         found.append(expected)
-        assert find_losses(aircraft, np.ones(len(aircraft)), False, limit, own, ~watching), "an encounter may end"
+        assert find_losses(aircraft, lowest, False, limit, own, ~watching), "an encounter may end"
     assert 20 < sum(found) < 180
 
 

@@ -255,11 +255,11 @@ def test_ground_temperature_acts_on_all_densities():
 def test_temperature_that_misses_aircraft_is_warned_of(changes, text):
     scenario = load_scenario("simulation-3", ["air.temperature_c=32", *changes])
     fleet = resolve(scenario)
-    (event,) = temperature_warnings(
-        fleet, temperature_offset(scenario.air, fleet.origin.elevation_m)
-    )
+    offset = temperature_offset(scenario.air, fleet.origin.elevation_m)
+    height = scenario.leader.start.altitude_m
+    (event,) = temperature_warnings(fleet, offset, height)
     assert text in event.text and event.level == "warning"
-    assert not list(temperature_warnings(fleet, 0.0))
+    assert not list(temperature_warnings(fleet, 0.0, height))
 
 
 def test_x8_top_speed_hardly_depends_on_temperature():
