@@ -255,16 +255,20 @@ _ROWS = {
     "alphalimits hysteresis_limits": Element(f"min:limit max:limit {_TEXT}"),
     _FILTERS: Element(f"c1 c2 c3 c4 c5 c6 trigger {_COMPONENT}", "type", name=Name.CONTROL),
     "summer": Element(f"bias {_COMPONENT}", "type", name=Name.CONTROL, not_translated="init delay"),
-    "deadband": Element(f"width gain {_COMPONENT}", "type", name=Name.CONTROL),
+    "deadband": Element(
+        f"width gain {_COMPONENT}", "type", name=Name.CONTROL, not_translated="init delay"
+    ),
     "pure_gain scheduled_gain aerosurface_scale": Element(
         f"gain domain range zero_centered table {_COMPONENT}",
         "type",
         name=Name.CONTROL,
         not_translated="init delay",
     ),
-    "selector": Element(f"default test {_COMPONENT}", "type", name=Name.CONTROL),
-    "default": Element(attributes="value", text=Text.VALUE),
-    "test": Element("test", "value logic", text=Text.VALUE),
+    "selector": Element(
+        f"default test {_COMPONENT}", "type", name=Name.CONTROL, not_translated="init delay"
+    ),
+    "default": Element(attributes="value", text=Text.VALUE, not_translated=""),
+    "test": Element("test", "value logic", text=Text.VALUE, not_translated=""),
     "kinematic": Element(f"traverse noscale {_COMPONENT}", "type", name=Name.CONTROL),
     "traverse": Element(f"setting {_TEXT}"),
     "setting": Element(f"position time {_TEXT}"),
@@ -314,9 +318,7 @@ _ROWS = {
         not_translated="",
     ),
     "independentVar": Element(attributes="lookup", text=Text.VALUE, not_translated=""),
-    "tableData": Element(
-        f"tableData {_TEXT}", "breakPoint", text=Text.VALUE, not_translated="breakPoint"
-    ),
+    "tableData": Element(f"tableData {_TEXT}", "breakPoint", text=Text.VALUE, not_translated=""),
 }
 
 GRAMMAR = {name: row for names, row in _ROWS.items() for name in names.split()}

@@ -6,7 +6,13 @@ from testbed.vehicle.compiled.elements import XmlNode
 from testbed.vehicle.compiled.functions import expression
 from testbed.vehicle.compiled.source import StepSource
 
-_AXES = ("DRAG", "SIDE", "LIFT", "ROLL", "PITCH", "YAW")
+# Sets of axes of a force, with the force in B by their sums.
+_FORCES = {
+    ("DRAG", "SIDE", "LIFT"): "rotate(wind_axes(alpha, beta), (-{0}, {1}, -{2}))",
+    ("AXIAL", "SIDE", "NORMAL"): "(-{0}, {1}, -{2})",
+    ("X", "Y", "Z"): "({0}, {1}, {2})",
+}
+_MOMENTS = ("ROLL", "PITCH", "YAW")
 _SIZES = {"aero/bi2vel": "metrics/bw-ft", "aero/ci2vel": "metrics/cbarw-ft"}
 
 
@@ -25,25 +31,43 @@ def aerodynamics(root: XmlNode, source: StepSource) -> None:
     for name, size in _SIZES.items():
         span, scale = source.read(size, aero), source.carry(name)
         source.emit(f"{scale} = {span} / (2.0 * vt) if vt + vt != 0.0 else {scale}")
-    sums = {axis: _axis(aero, axis, source) for axis in _AXES}
-    for axis in aero.all("axis"):
-        if axis.attributes.get("name") not in _AXES:
-            axis.fail(f"of {axis.attributes.get('name')} is not translated")
+    area = source.read("metrics/Sw-sqft", aero)
+    source.provide("aero/qbar-area", f"{area} * qbar")
+    forces = _force_axes(aero)
+    sums = {axis: _axis(aero, axis, source) for axis in (*forces, *_MOMENTS)}
+    force = _FORCES[forces].format(*(sums[axis] for axis in forces))
     point = ", ".join(source.read(f"metrics/aero-rp-{each}-in", aero) for each in "xyz")
     source.emit(
         f"""
-force_wind = (-{sums["DRAG"]}, {sums["SIDE"]}, -{sums["LIFT"]})
-force_aero = rotate(wind_axes(alpha, beta), force_wind)
+force_aero = {force}
 lever = arm(cg, ({point}))
 moment_aero = add(({sums["ROLL"]}, {sums["PITCH"]}, {sums["YAW"]}), cross(lever, force_aero))
 """
     )
 
 
+def _force_axes(aero: XmlNode) -> tuple[str, ...]:
+    """Return the set of axes in which the aircraft has its forces."""
+    for axes in _FORCES:
+        others = [
+            axis
+            for axis in aero.all("axis")
+            if axis.attributes.get("name", "").strip() not in (*axes, *_MOMENTS)
+        ]
+        if not others:
+            names = [axis.attributes.get("name", "").strip() for axis in aero.all("axis")]
+            for name, axis in zip(names, aero.all("axis"), strict=True):
+                if names.count(name) > 1:
+                    axis.fail(f"{name} occurs more than once")
+            return axes
+    return others[0].fail(f"{others[0].attributes.get('name')} with these others is not translated")
+
+
 def _axis(aero: XmlNode, name: str, source: StepSource) -> str:
     """Write the functions of an axis; return the variable of their sum."""
     total = source.assign("0.0")
-    for axis in (each for each in aero.all("axis") if each.attributes.get("name") == name):
+    axes = aero.all("axis")
+    for axis in (each for each in axes if each.attributes.get("name", "").strip() == name):
         for function in axis.all("function"):
             value = source.assign(expression(function, source))
             if function.attributes.get("name"):

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 
 from testbed.vehicle.compiled.elements import XmlNode
 from testbed.vehicle.compiled.source import StepSource, literal
 
-_DEGREES = 180.0 / math.pi
 _INFIX = {"sum": "+", "product": "*", "difference": "-"}
 _COMPARE = {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "nq": "!="}
 _MATH = {
     **{each: each for each in "sqrt exp sin cos tan asin acos atan floor ceil".split()},
+    "integer": "trunc",
     "ln": "log",
+    "log10": "log10",
 }
-_PAIRS = {"pow": "pow", "atan2": "atan2"}
+_PAIRS = {"pow": "pow", "atan2": "atan2", "fmod": "fmod"}
+_LOG10_2 = math.log10(2.0)
 
 
 def expression(node: XmlNode, source: StepSource) -> str:
@@ -48,6 +51,9 @@ def expression(node: XmlNode, source: StepSource) -> str:
     if tag in _MATH:
         _expect(node, 1)
         return f"{_MATH[tag]}({values[0]})"
+    if tag in ("and", "or"):
+        tests = (f"{value} != 0.0" for value in values)
+        return f"(1.0 if {f' {tag} '.join(tests)} else 0.0)"
     if tag in _PAIRS:
         _expect(node, 2)
         return f"{_PAIRS[tag]}({values[0]}, {values[1]})"
@@ -88,12 +94,54 @@ def _absolute(node: XmlNode, values: Sequence[str], _: StepSource) -> str:
 
 def _to_radians(node: XmlNode, values: Sequence[str], _: StepSource) -> str:
     _expect(node, 1)
-    return f"({values[0]} * {literal(math.pi / 180.0)})"
+    return f"({values[0]} * {literal(math.pi)} / 180.0)"
 
 
 def _to_degrees(node: XmlNode, values: Sequence[str], _: StepSource) -> str:
     _expect(node, 1)
-    return f"({values[0]} * {literal(_DEGREES)})"
+    return f"({values[0]} * 180.0 / {literal(math.pi)})"
+
+
+def _log2(node: XmlNode, values: Sequence[str], _: StepSource) -> str:
+    _expect(node, 1)
+    return f"(log10({values[0]}) * {literal(1.0 / _LOG10_2)})"
+
+
+def _not(node: XmlNode, values: Sequence[str], _: StepSource) -> str:
+    _expect(node, 1)
+    return f"(0.0 if {values[0]} != 0.0 else 1.0)"
+
+
+def _sign(node: XmlNode, values: Sequence[str], _: StepSource) -> str:
+    _expect(node, 1)
+    return f"(-1.0 if {values[0]} < 0.0 else 1.0)"
+
+
+def _fraction(node: XmlNode, values: Sequence[str], source: StepSource) -> str:
+    _expect(node, 1)
+    value = source.assign(values[0])
+    return f"({value} - trunc({value}))"
+
+
+def _average(_: XmlNode, values: Sequence[str], __: StepSource) -> str:
+    return f"(({' + '.join(values)}) / {literal(float(len(values)))})"
+
+
+def _modulo(node: XmlNode, values: Sequence[str], _: StepSource) -> str:
+    """Return the remainder of the whole parts, with the sign of the first."""
+    _expect(node, 2)
+    return f"fmod(trunc({values[0]}), trunc({values[1]}))"
+
+
+def _round(node: XmlNode, values: Sequence[str], source: StepSource) -> str:
+    """Return the nearest multiple of the second number, or of 1, halves away from zero."""
+    if len(values) == 1:
+        value = source.assign(values[0])
+        return f"copysign(floor(abs({value}) + 0.5), {value})"
+    _expect(node, 2)
+    divisor = source.assign(values[1])
+    value = source.assign(f"{values[0]} / {divisor}")
+    return f"(copysign(floor(abs({value}) + 0.5), {value}) * {divisor})"
 
 
 _OTHERS: dict[str, Callable[[XmlNode, Sequence[str], StepSource], str]] = {
@@ -101,6 +149,13 @@ _OTHERS: dict[str, Callable[[XmlNode, Sequence[str], StepSource], str]] = {
     "abs": _absolute,
     "toradians": _to_radians,
     "todegrees": _to_degrees,
+    "log2": _log2,
+    "not": _not,
+    "sign": _sign,
+    "fraction": _fraction,
+    "avg": _average,
+    "mod": _modulo,
+    "roundmultiple": _round,
 }
 
 
@@ -118,12 +173,63 @@ def _choose(node: XmlNode, source: StepSource) -> str:
 
 
 def table(node: XmlNode, source: StepSource) -> str:
-    """Return the call that looks up a table."""
+    """Return the call that looks up a table of one to three variables."""
     variables = node.all("independentVar")
-    if len(variables) != 1:
+    data = node.all("tableData")
+    if not 1 <= len(variables) <= 3 or node.attributes.get("type", "internal") != "internal":
         node.fail(f"has {len(variables)} independent variables")
-    function = table_function(node.child("tableData"), source)
-    return f"{function}({source.read(variables[0].word, variables[0])})"
+    if len(variables) == 1:
+        function = table_function(node.child("tableData"), source)
+        return f"{function}({source.read(variables[0].word, variables[0])})"
+    by_lookup = {each.attributes.get("lookup", ""): each for each in variables}
+    wanted = ("row", "column", "table")[: len(variables)]
+    if set(by_lookup) != set(wanted):
+        node.fail(f"looks up {', '.join(by_lookup)}")
+    values = [source.read(by_lookup[each].word, by_lookup[each]) for each in wanted]
+    if len(variables) == 2:
+        return f"table_2({values[0]}, {values[1]}, {_grid(node.child('tableData'), source)})"
+    return _table_3(data, values, source)
+
+
+def _table_3(data: Sequence[XmlNode], values: Sequence[str], source: StepSource) -> str:
+    """Interpolate between the tables of two variables of the nearest breakpoints."""
+    row, column, third = (source.assign(value) for value in values)
+    points = [float(each.attributes.get("breakPoint", "nan")) for each in data]
+    if len(points) < 2 or not all(a < b for a, b in pairwise(points)):
+        data[0].fail("has breakpoints that do not increase")
+    grids = [_grid(each, source) for each in data]
+    found = source.name()
+    for k, (low, high) in enumerate(pairwise(points)):
+        is_last = k == len(points) - 2
+        heads = ([f"if {third} <= {literal(high)}:"] if k == 0 else []) or (
+            ["else:"] if is_last else [f"elif {third} <= {literal(high)}:"]
+        )
+        with source.block("if True:" if k == 0 and is_last else heads[0]):
+            share = source.assign(f"max(({third} - {literal(low)}) / {literal(high - low)}, 0.0)")
+            first, other = (
+                source.assign(f"table_2({row}, {column}, {grids[n]})") for n in (k, k + 1)
+            )
+            mixed = f"{share} * ({other} - {first}) + {first}"
+            source.emit(f"{found} = {mixed} if {share} < 1.0 else {other}")
+    return found
+
+
+def _grid(data: XmlNode, source: StepSource) -> str:
+    """Write the arrays of a table of two variables, and return their names."""
+    lines = data.rows()
+    columns, rows = lines[0] if lines else [], lines[1:]
+    keys = [row[0] for row in rows]
+    if min(len(rows), len(columns)) < 2 or any(len(row) != len(columns) + 1 for row in rows):
+        data.fail("is no table of two variables")
+    if not all(a < b for each in (columns, keys) for a, b in pairwise(each)):
+        data.fail("has breakpoints that do not increase")
+    name = source.name("table_")
+    values = [row[1:] for row in rows]
+    source.helpers.append(
+        f"{name}_rows = np.array({keys})\n{name}_columns = np.array({columns})\n"
+        f"{name}_data = np.array({values})"
+    )
+    return f"{name}_rows, {name}_columns, {name}_data"
 
 
 def table_function(data: XmlNode, source: StepSource) -> str:
@@ -132,7 +238,7 @@ def table_function(data: XmlNode, source: StepSource) -> str:
     if not rows or any(len(row) != 2 for row in rows):
         data.fail("has not two numbers in each line")
     points = [(row[0], row[1]) for row in rows]
-    if any(one[0] >= other[0] for one, other in zip(points, points[1:], strict=False)):
+    if any(one[0] >= other[0] for one, other in pairwise(points)):
         data.fail("has breakpoints that do not increase")
     name = source.name("table_")
     lines = [

@@ -19,6 +19,8 @@ from testbed.vehicle.compiled.elements import XmlNode
 _INDENT = "    "
 _INDEX_0 = re.compile(r"\[0\](?=/|$)")
 _CONSTANT = ("metrics/",)  # groups of properties that loading sets and no step changes
+SURFACES = ("elevator", "left-aileron", "right-aileron", "rudder", "speedbrake", "spoiler", "flap")
+_POSITION = re.compile(rf"fcs/({'|'.join(SURFACES)})-pos-(rad|deg)")
 _WRITABLE = ("fcs", "aero", "systems")  # groups of JSBSim's that aircraft write
 
 
@@ -62,6 +64,7 @@ class StepSource:
         self._written: dict[str, None] = {}
         self._read: set[str] = set()
         self._frame: set[str] = set()  # properties that the frame provides
+        self._explicit: set[str] = set()  # that the files write themselves
         self._count = 0
         self.helpers: list[str] = []
         self.initial: dict[str, float] = {}
@@ -117,11 +120,24 @@ class StepSource:
         self.emit(f"{self.variable(name)} = {value}")
         self._declared.add(name)
         self._written[name] = None
+        self._explicit.add(name)
+        if found := _POSITION.fullmatch(name):
+            self._write_position(*found.groups())
 
     def provide(self, name: str, value: str) -> None:
         """Set a property of the frame; the line goes if no file reads the property."""
         self._lines.append(_Line(self._indented(f"{self.variable(name)} = {value}"), name))
         self._written[name] = None
+
+    def _write_position(self, surface: str, unit: str) -> None:
+        """Set the same position of a surface in JSBSim's other units."""
+        now = self.variable(f"fcs/{surface}-pos-{unit}")
+        if unit == "rad":
+            self.provide(f"fcs/{surface}-pos-deg", f"{now} * DEGREES")
+            self.provide(f"fcs/mag-{surface}-pos-rad", f"abs({now})")
+        else:
+            self.provide(f"fcs/{surface}-pos-rad", f"{now} * {math.pi / 180.0!r}")
+            self.provide(f"fcs/mag-{surface}-pos-rad", f"abs({now} * {math.pi / 180.0!r})")
 
     def carry(self, name: str) -> str:
         """Return the variable of a property of the frame that is state."""
@@ -180,5 +196,5 @@ class StepSource:
         return [
             each
             for each in self._written
-            if each not in COLUMN and (each in self._loaded or each not in self._frame)
+            if each not in COLUMN and (each in self._loaded or each in self._explicit)
         ]

@@ -26,7 +26,7 @@ from testbed.vehicle.compiled.columns import (
 from testbed.vehicle.compiled.components import component, outputs
 from testbed.vehicle.compiled.elements import XmlNode, read_aircraft
 from testbed.vehicle.compiled.propulsion import engine_property, propulsion, throttle_property
-from testbed.vehicle.compiled.source import StepSource
+from testbed.vehicle.compiled.source import SURFACES, StepSource
 from testbed.vehicle.environment import (
     ADAMS_BASHFORTH_2,
     ADAMS_BASHFORTH_3,
@@ -103,6 +103,20 @@ _AFTER_AUXILIARY = {
     **{f"velocities/{each}-aero-fps": f"uvw_aero[{k}]" for k, each in enumerate("uvw")},
 }
 
+# Properties of JSBSim that keep their value from the placement, unless the files write them.
+_HELD = (
+    *(f"fcs/{each}-trim-cmd-norm" for each in ("pitch", "roll", "yaw")),
+    *(f"fcs/{each}-cmd-norm" for each in ("flap", "speedbrake", "spoiler", "steer")),
+    *(f"fcs/{each}-pos-{unit}" for each in SURFACES for unit in ("rad", "deg", "norm")),
+    *(f"fcs/mag-{each}-pos-rad" for each in SURFACES if each != "flap"),
+)
+
+_AFTER_ACCELERATIONS = {
+    **{f"accelerations/{each}dot-ft_sec2": f"uvw_dot[{k}]" for k, each in enumerate("uvw")},
+    **{f"accelerations/{each}idot-ft_sec2": f"acceleration[{k}]" for k, each in enumerate("uvw")},
+    **{f"accelerations/{each}idot-rad_sec2": f"rates_dot[{k}]" for k, each in enumerate("pqr")},
+}
+
 _ATMOSPHERE = """
     # Inertial
     place = earth_fixed(earth_angle, position)
@@ -139,6 +153,8 @@ _ACCELERATIONS = """
         specific, pqr, earth, uvw, position, attraction, t_bi, earth_angle
     )
     acceleration = inertial_derivatives(specific, attraction, t_bi, earth_angle)
+"""
+_LIMITS = """
     # limits of the model
     if not (vt < FASTEST and abs(rates[0]) < FASTEST and abs(rates[1]) < FASTEST):
         status[row] = IMPLAUSIBLE
@@ -154,9 +170,12 @@ _HEADER = '''"""The step of an aircraft, translated from its files."""
 
 from math import *
 
+import numpy as np
+
 from testbed.core.compile import kernel
 from testbed.vehicle.compiled.frame import *
 from testbed.vehicle.compiled.limits import *
+from testbed.vehicle.compiled.tables import table_2
 '''
 
 
@@ -222,13 +241,17 @@ class _Translator:
         source.emit("# Aerodynamics")
         aerodynamics(self._root, source)
         source.emit(_dedent(_ACCELERATIONS))
+        self._provide(_AFTER_ACCELERATIONS)
+        source.emit(_dedent(_LIMITS))
         return self._assemble()
 
     def _declare(self) -> None:
         source, root = self._source, self._root
         source.declare_frame(*CONTROLS.columns, *WIND.columns, "atmosphere/delta-T")
-        source.declare_frame(*_AFTER_PROPAGATE, *_AFTER_ATMOSPHERE, *_AFTER_AUXILIARY)
-        source.declare_frame("aero/bi2vel", "aero/ci2vel")
+        source.declare_frame(*_AFTER_PROPAGATE, *_AFTER_ATMOSPHERE)
+        source.declare_frame(*_AFTER_AUXILIARY, *_AFTER_ACCELERATIONS)
+        source.declare_frame("aero/bi2vel", "aero/ci2vel", "aero/qbar-area")
+        source.declare(*_HELD)
         parts = root.find("propulsion")
         for number, _ in enumerate(parts.all("engine") if parts else []):
             source.declare_frame(engine_property(number, "propeller-rpm"))
