@@ -85,8 +85,8 @@ class CompilingBar:
                 disable=not self._console.is_terminal,
             )
             self._task = self._bar.add_task("", total=total)
-            self._bar.start()
-        self._bar.update(self._task, completed=ready)
+        self._bar.start()
+        self._bar.update(self._task, completed=ready, total=total)
         if ready == total:
             self._bar.stop()
 

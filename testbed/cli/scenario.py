@@ -135,7 +135,7 @@ def validate_command(
         world = build(loaded)
     for event in world.initial_events:
         typer.echo(escape_controls(f"{event.level}: {event.source}: {event.text}"), err=True)
-    for line in _programs(loaded):
+    for line in (*_programs(loaded), *_engines(world)):
         typer.echo(escape_controls(line), err=True)
     if stages:
         _print_stages(world)
@@ -143,6 +143,12 @@ def validate_command(
         typer.echo(dump(loaded))
     else:
         typer.echo(f"{scenario}: valid")
+
+
+def _engines(world: World) -> Iterator[str]:
+    """Describe what steps the flight models."""
+    if world.fleet is not None:
+        yield f"engine: {world.fleet.describe_engine()}"
 
 
 def _print_stages(world: World) -> None:

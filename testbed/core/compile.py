@@ -52,7 +52,10 @@ class Compilable(Protocol):
 
 Arguments: TypeAlias = tuple[Compilable, tuple[Any, ...]]  # an entry, and arguments of its calls
 
+Progress: TypeAlias = Callable[[int, int], None]  # called with the entries done, and all
+
 _registered: ContextVar[list[Arguments] | None] = ContextVar("registered", default=None)
+_progress: ContextVar[Progress | None] = ContextVar("progress", default=None)
 
 # Packages with kernels: a change in any of their files recompiles all kernels.
 KERNEL_PACKAGES = (
@@ -261,9 +264,19 @@ def registered() -> tuple[Arguments, ...]:
     return tuple(_registered.get() or ())
 
 
+@contextmanager
+def reporting(progress: Progress | None) -> Iterator[None]:
+    """Use this where `prepare` is called in the block without a function of its own."""
+    token = _progress.set(progress)
+    try:
+        yield
+    finally:
+        _progress.reset(token)
+
+
 def prepare(
     calls: Iterable[Arguments],
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
     check: Callable[[], None] = lambda: None,
 ) -> None:
     """Compile entries for the arguments they are bound to, or load their machine code.
@@ -273,10 +286,12 @@ def prepare(
     Args:
         calls: entries, each with arguments of the types of its calls; nothing is called.
         progress: called with the number of entries done and of all entries, from the moment at
-            which the first has to be compiled; not at all where machine code is loaded.
+            which the first has to be compiled; not at all where machine code is loaded. None: that
+            of `reporting`.
         check: called before each entry, and while another process compiles; an error that it
             raises ends the call.
     """
+    progress = progress or _progress.get()
     found = ((function, types_of(args)) for function, args in calls)
     entries = list(dict.fromkeys(found))
     compiled = False

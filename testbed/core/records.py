@@ -500,6 +500,7 @@ class RunInfo:
     # JSBSim's methods of integration by state, see `vehicle.environment.Integrators`; empty without
     # flight models
     integrators: Mapping[str, str] = field(default_factory=dict)
+    engine: str = ""  # what steps the flight models: "compiled" or "jsbsim"; "" without them
     # files of code that the scenario uses, by name
     code: Mapping[str, bytes] = field(default_factory=dict)
 

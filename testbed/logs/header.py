@@ -6,7 +6,7 @@ import dataclasses
 import hashlib
 import json
 from collections.abc import Mapping
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -53,10 +53,11 @@ class _Header(BaseModel):
     estimated: bool
     start_unix_ns: Annotated[int, Field(ge=0, le=MAX_START_NS)]
     integrators: dict[str, str]
+    engine: Literal["", "compiled", "jsbsim"] = ""  # logs of earlier versions do not have it
 
 
 def metadata(info: RunInfo) -> dict[str, str]:
-    """Collect the metadata record: log schema, scenario, seed, versions, step rate, integrators."""
+    """Collect the metadata record: schema, scenario, seed, versions, rate, integrators, engine."""
     return {
         "log_schema": str(LOG_SCHEMA),
         "scenario": info.scenario_name,
@@ -65,6 +66,7 @@ def metadata(info: RunInfo) -> dict[str, str]:
         **{f"version.{name}": value for name, value in info.versions.items()},
         "base_rate_hz": str(info.base_rate_hz),
         **{f"integrator.{name}": value for name, value in info.integrators.items()},
+        **({"engine": info.engine} if info.engine else {}),
     }
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Any, TypeAlias, TypeVar
+from typing import Annotated, Any, Literal, TypeAlias, TypeVar
 
 from pydantic import AfterValidator, Field, ValidationInfo
 from pydantic_core import PydanticCustomError
@@ -257,6 +257,7 @@ class Metrics(SlotSpeed):
     scenario: str
     seed: Count
     versions: dict[str, str]
+    engine: NotRequired[Literal["compiled", "jsbsim"] | None]  # earlier logs do not have it
     outcome: str | None
     simulated_s: Number
     wall_s: Known

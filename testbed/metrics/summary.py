@@ -47,6 +47,7 @@ def summarise(
         "scenario": info.scenario_name,
         "seed": info.seed,
         "versions": dict(info.versions),
+        "engine": info.engine or None,
         "outcome": None,
         "simulated_s": _time(total.last_tick, info) or 0.0,
         "wall_s": None,

@@ -179,7 +179,7 @@ def gust_input_warnings(
 
 def engine_notes(models: FlightModels | None) -> Iterator[Event]:
     """Say why JSBSim steps the flight models, where the choice is open."""
-    if models is not None and models.engine_reason:
+    if models is not None and models.engine == "jsbsim" and models.engine_reason:
         yield Event(0.0, "info", "run", models.engine_reason)
 
 
@@ -220,9 +220,11 @@ def _build_models(
     ]
     with error_prefix("fleet"):
         compiled, reason = find_engines(folders, clock.base_rate_hz, engine)
+        models: FlightModels
         if compiled:
-            return CompiledFleet(compiled, starts, origin, clock.base_rate_hz)
-        models = make_fleet(folders, starts, origin, clock.base_rate_hz, processes=processes)
+            models = CompiledFleet(compiled, starts, origin, clock.base_rate_hz)
+        else:
+            models = make_fleet(folders, starts, origin, clock.base_rate_hz, processes=processes)
         models.engine_reason = reason
         return models
 

@@ -207,7 +207,7 @@ def build(
             control,
             wind,
             exact=estimators.exact,
-            has_models=vehicles.fleet is not None,
+            models=vehicles.fleet,
         ),
         entries=registered(),
     )
@@ -265,7 +265,7 @@ def build_single(flight: SingleAircraft) -> World:
             *sensor_warnings(fleet, flight.rates.autopilot_hz),
         ),
         info=RunInfo(
-            **_run_info(flight, fleet, clock, exact=estimators.exact, has_models=True),
+            **_run_info(flight, fleet, clock, exact=estimators.exact, models=jsbsim.fleet),
             scenario_yaml=dump(flight),
             speed_bounds_mps=(),
             kappa_mps=(),
@@ -352,7 +352,7 @@ def _run_info(
     clock: Clock,
     *,
     exact: bool,
-    has_models: bool,
+    models: FlightModels | None,
 ) -> dict[str, Any]:
     """Return the fields of `RunInfo` that every flight has; `exact`: estimates are the truth."""
     return {
@@ -368,7 +368,8 @@ def _run_info(
         "estimated": not exact,
         "windows": dict(scenario.scenario.windows),
         "versions": versions(),
-        "integrators": describe_integrators() if has_models else {},
+        "engine": models.engine if models else "",
+        "integrators": describe_integrators() if models else {},
     }
 
 
@@ -381,13 +382,13 @@ def _formation_info(
     wind: Vector,
     *,
     exact: bool,
-    has_models: bool,
+    models: FlightModels | None,
 ) -> RunInfo:
     """Describe the run of a formation for its observers; see `_run_info`."""
     stored, code = with_stored_code(scenario)
     agents = [each.agent for each in fleet.followers]
     return RunInfo(
-        **_run_info(scenario, fleet, clock, exact=exact, has_models=has_models),
+        **_run_info(scenario, fleet, clock, exact=exact, models=models),
         scenario_yaml=dump(stored),
         code=code,
         speed_bounds_mps=tuple(each.speed_mps for each in agents),

@@ -205,6 +205,7 @@ def _repeat(run: RunData) -> str:
             [
                 ("seed", str(info.seed)),
                 *versions,
+                *([("engine", info.engine)] if info.engine else []),
                 ("base rate", f"{info.base_rate_hz} Hz"),
                 ("log rate", f"{info.sample_rate_hz} Hz"),
                 ("aircraft", aircraft),

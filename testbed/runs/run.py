@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from testbed.commands.tick_gate import RealTimePacer, TickGate
+from testbed.core.compile import reporting
 from testbed.core.errors import InputError
 from testbed.core.files import reserve_standard_descriptors
 from testbed.core.records import Event, Observer
@@ -147,9 +148,10 @@ def run(
     loaded = find_loaded(scenario, overrides)
     if write and loaded.log.mcap:
         check_disk(loaded, folder or LOGS)
-    world = build(
-        loaded, commanded=external.has_server, arduplane=external.arduplane, processes=processes
-    )
+    with reporting(compiling):
+        world = build(
+            loaded, commanded=external.has_server, arduplane=external.arduplane, processes=processes
+        )
     world = check_links(external, loaded, world)
     for process in world.external_processes:
         process.check()

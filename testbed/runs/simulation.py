@@ -16,6 +16,7 @@ from typing import Any, NoReturn, Self, SupportsIndex, TypeAlias
 from pydantic import Field
 
 from testbed.commands.autopilot_session import MANUAL_ANGLE_LIMIT, AutopilotSession
+from testbed.core.compile import reporting
 from testbed.core.errors import InputError, NotCopiedError
 from testbed.core.records import Event, FbwaCommand, Observer, RunInfo, Sample
 from testbed.flight.loop import Flight
@@ -117,7 +118,11 @@ class Simulation:
         scenario = self.scenario
         if seed is not None:
             scenario = set_seed(scenario, seed)
-        world = build_single(scenario) if isinstance(scenario, SingleAircraft) else build(scenario)
+        with reporting(self._compiling):
+            if isinstance(scenario, SingleAircraft):
+                world = build_single(scenario)
+            else:
+                world = build(scenario)
         self._end_observers()
         self.scenario = scenario
         meter, events = MetricsObserver(published=self.scenario.published), _Events()

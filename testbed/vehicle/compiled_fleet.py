@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from testbed.core.call_list import Call, Step
-from testbed.core.compile import entry, is_interpreted
+from testbed.core.compile import entry, is_interpreted, prepare
 from testbed.core.errors import InputError
 from testbed.core.records import Array, BoolArray, ByteArray, Indices, NedOrigin, Records, Values
 from testbed.vehicle.compiled import CompiledAircraft, NotTranslated
@@ -53,10 +53,21 @@ def find_engine(folder: Path, rate_hz: int, integrators: Integrators) -> Engine:
         compiled = CompiledAircraft(folder, load(folder, rate_hz, integrators), integrators)
     except NotTranslated as error:
         return Engine(None, str(error))
+    prepare([(compiled.run_rows, _example(compiled))])
     proof = prove_aircraft(compiled, rate_hz)
     if not proof.equal:
         return Engine(None, f"{folder.name}: compiled, {proof.unequal}: it is flown by JSBSim")
-    return Engine(compiled, f"equal to JSBSim {VERSION} in {proof.compared:,} compared numbers")
+    return Engine(
+        compiled, f"{folder.name} equals JSBSim {VERSION} in {proof.compared:,} compared numbers"
+    )
+
+
+def _example(aircraft: CompiledAircraft) -> tuple[object, ...]:
+    """Return arguments of `run_rows`, for their types."""
+    numbers = (np.zeros((1, width)) for width in (len(aircraft.columns), 7, 4, 4))
+    one = np.zeros(1, dtype=np.intp)
+    rest = 0.1, one, _NO_CLEARANCE, one, np.zeros(1, dtype=np.uint8)
+    return *numbers, np.zeros(2, dtype=bool), *rest
 
 
 def find_engines(
@@ -82,7 +93,8 @@ def find_engines(
             if engine == "compiled":
                 raise InputError(f"engine: compiled: {each.reason} (write engine: auto)")
             return (), each.reason
-    return tuple(each.compiled for each in engines if each.compiled is not None), ""
+    compiled = tuple(each.compiled for each in engines if each.compiled is not None)
+    return compiled, "; ".join(dict.fromkeys(each.reason for each in engines))
 
 
 class PlacedRow(NamedTuple):

@@ -156,7 +156,7 @@ class FlightModels:
 
     Attributes:
         engine: name of what steps them, see the key `engine` of a scenario.
-        engine_reason: why that is not the compiled one; empty: it is, or was not to be.
+        engine_reason: why, where the scenario leaves it open.
         trims: N, of their starts.
         write_wind: gives the wind of the records to the flight models, for their next run.
         write_surfaces: gives the surfaces of the records to the flight models, the same.
@@ -202,6 +202,10 @@ class FlightModels:
         self.write_surfaces(0.0)
         self._changed[:] = False
         self._last_controls[:] = self._controls
+
+    def describe_engine(self) -> str:
+        """Describe what steps the flight models, and why, in a line."""
+        return f"{self.engine}{f': {self.engine_reason}' if self.engine_reason else ''}"
 
     def bind(self, aircraft: Records, rows: Indices) -> None:
         """Read and write these rows (N,) of AIRCRAFT from now on; they begin in trim."""

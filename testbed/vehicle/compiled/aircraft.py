@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -60,9 +61,7 @@ class CompiledAircraft:
         wanted = (*AIR_PROPERTIES, *BATTERY_PROPERTIES)
         self.air_columns = np.array([self.columns.get(each, -1) for each in wanted])
         self.clearance = _clearance(read_aircraft(self.folder), model)
-        self.run_rows: Callable[..., None] = entry_of_source(
-            self._translation.function, self._translation.source
-        )
+        self.run_rows: Any = entry_of_source(self._translation.function, self._translation.source)
 
     def row_of(self, model: JsbsimModel) -> Array:
         """Return the state (S,) of a model that `JsbsimModel.place` has placed.
