@@ -23,7 +23,8 @@ from part_timer import PartTimer
 from testbed.core.records import Event, Observer, RunInfo, Sample
 from testbed.plan.world import build
 from testbed.runs.run import run
-from testbed.scenario import Scenario
+from testbed.scenario import Scenario, with_values
+from testbed.vehicle.fleet import JsbsimFleet
 from testbed.vehicle.workers import default_processes
 
 SEGMENT_S = 60.0
@@ -90,8 +91,8 @@ def bare(scenario: Scenario, seconds: float, *, with_io: bool = False) -> Cost:
     rounds = round(seconds * scenario.rates.autopilot_hz)
     most = round(SEGMENT_S * scenario.rates.autopilot_hz)
     while rounds > 0:
-        fleet = build(scenario).fleet
-        if fleet is None:
+        fleet = build(with_values(scenario, [(("scenario", "engine"), "jsbsim")])).fleet
+        if not isinstance(fleet, JsbsimFleet):
             raise SystemExit(f"{scenario.name}: has no flight model")
         runs, steps, trimmed = fleet.bare_runs(), range(steps_per_period), fleet.trimmed
         gc.collect()

@@ -40,11 +40,11 @@ PARTS: Mapping[str, str] = {
 
 # Every stage has a part: a stage without one is an error.
 STAGES: Mapping[str, Sequence[str]] = {
+    "physics": ["move to the next tick"],
     "properties": [
         "read the air of flight models",
         "give the wind to flight models",
         "give surfaces to models",
-        "move to the next tick",
     ],
     "air": ["sample the wind"],
     "sensing": ["advance sensors and estimates", "estimate with the present errors"],

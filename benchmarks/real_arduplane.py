@@ -45,6 +45,7 @@ PROFILES = ("tuned", "authors", "improved")
 SITL = tuple(
     f"{key}={value}"
     for key, value in (
+        ("scenario.engine", "jsbsim"),  # its integrators are those of the recordings
         ("rates.physics_hz", "200"),
         ("leader.autopilot", "{kind: virtual, gyro_filter: sitl}"),
         ("fleet.*.autopilot", "{kind: virtual, gyro_filter: sitl}"),

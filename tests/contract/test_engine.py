@@ -99,7 +99,7 @@ def reason_of(kite):
     return f"{kite}/kite.xml:{line + 1}: <channel> with the attribute execrate is not translated"
 
 
-def test_aircraft_that_is_not_translated_flies_by_jsbsim(kite, tmp_path):
+def test_untranslated_aircraft_flies_by_jsbsim(kite, tmp_path):
     """The log and the metrics name the engine; an event has file, line and element."""
     text = f"extends: simulation-1\nleader: {{aircraft: {kite}}}\n"
     scenario = set_duration(loads(text), 0.2)

@@ -370,7 +370,7 @@ formation:
   offsets_m: {uav1: [-10, 5, 40], uav2: [-10, -5, 0]}
   leader_gains: {uav1: 1, uav2: 1}
 """
-GROUND = "lost: on the ground, at 1.0 m"
+GROUND = "lost: on the ground, at 2.8 m"
 
 
 @pytest.mark.parametrize(

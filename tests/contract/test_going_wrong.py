@@ -112,13 +112,17 @@ def test_stall_after_a_fault_is_a_warning(tmp_path):
     assert {(e["level"], e["source"]) for e in stalls} == {("warning", "uav1")}
 
 
-def test_nan_motion_is_a_loss_with_its_cause():
-    world = build(loads(SLOW, ["formation.agents={}", "limits.on_loss=continue"]))
-    seen = Collector()
+@pytest.mark.parametrize("engine", ["jsbsim", "compiled"])
+def test_nan_motion_is_a_loss_with_its_cause(engine):
+    changes = [f"scenario.engine={engine}", "formation.agents={}", "limits.on_loss=continue"]
+    world, seen = build(loads(SLOW, changes)), Collector()
 
     def insert_nan(now, due):
-        if now == 3.0:
+        if now == 3.0 and engine == "jsbsim":
             world.fleet._models[1].winds[0].set_double_value(math.nan)
+        elif now == 3.0:
+            (kind,) = world.fleet._kinds
+            kind.state[1, kind.aircraft.columns["atmosphere/wind-north-fps"]] = math.nan
         return False
 
     assert fly(world, [seen], insert_nan) == "lost"
@@ -134,8 +138,9 @@ def test_nan_motion_is_a_loss_with_its_cause():
 def test_nan_motion_is_the_same_in_two_processes():
     """That of uav2, which the second process steps, from the first step on."""
     results = []
+    changes = ["scenario.engine=jsbsim", "formation.agents={}", "limits.on_loss=continue"]
     for processes in (1, 2):
-        scenario = loads(SLOW, ["formation.agents={}", "limits.on_loss=continue"])
+        scenario = loads(SLOW, changes)
         world, seen = build(set_duration(scenario, 3.0), processes=processes), Collector()
         world.fleet._models[2].winds[0].set_double_value(math.nan)
         assert fly(world, [seen], lambda now, due: False) == "lost"

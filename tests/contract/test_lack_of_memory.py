@@ -13,7 +13,7 @@ from testbed.cli import check
 from testbed.core.errors import InputError, memory_shortage
 from testbed.logs import arrow_io, mcap_file
 from testbed.plan.user_code import _pickled
-from testbed.scenario import find_aircraft, load_scenario, set_duration
+from testbed.scenario import find_aircraft, load_scenario, set_duration, with_values
 from testbed.studies.flight_pool import FlightPool
 from testbed.studies.flight_task import FlightTask, run_task
 from testbed.studies.local_workers import LocalWorkers
@@ -50,7 +50,7 @@ def greedy_system(*arguments, **named):
 
 
 def test_flight_model_without_memory_is_no_loss():
-    with testbed.Simulation(SHORT) as simulation:
+    with testbed.Simulation(with_values(SHORT, [(("scenario", "engine"), "jsbsim")])) as simulation:
         simulation._world.fleet._runs[1] = greedy
         with pytest.raises(MemoryError):
             simulation.step()

@@ -45,7 +45,7 @@ def test_vee_has_the_requested_flight_models(benchmark, count):
     fleets = benchmark("fleets")
     scenario = fleets.vee(count, 1.0)
     fleet = build(scenario).fleet
-    assert benchmark("full_over_bare").flight_models(scenario) == len(fleet.bare_runs()) == count
+    assert benchmark("full_over_bare").flight_models(scenario) == len(fleet.trims) == count
 
 
 def flight(error, rate_hz):

@@ -90,7 +90,8 @@ def test_default_number_of_processes(monkeypatch):
 @pytest.fixture
 def flight(tmp_path):
     """Yield a run of two processes in flight, the id of the other process, and the log."""
-    command = ["run", "vee-30", "--set", "fleet.count=6", "--processes", "2", "--out", "run"]
+    command = ["run", "vee-30", "--set", "fleet.count=6", "--set", "scenario.engine=jsbsim"]
+    command += ["--processes", "2", "--out", "run"]
     with subprocess.Popen(
         [sys.executable, "-m", "testbed", *command],
         cwd=tmp_path,

@@ -12,7 +12,7 @@ FAR = np.array([[100.0 * i, 0.0, -100.0] for i in range(4)])
 
 def monitor(*, fly_on, faults=None, collision_m=None):
     proximity = ProximityMonitor(NAMES, collision_m=collision_m)
-    return LossMonitor(NAMES, proximity, faults, fly_on=fly_on)
+    return LossMonitor(NAMES, np.ones(len(NAMES)), proximity, faults, fly_on=fly_on)
 
 
 def uav2_failed():

@@ -216,4 +216,4 @@ def test_replay_lost_aircraft_keeps_its_rows(tmp_path: Path) -> None:
         respond(RASCAL, commands, tmp_path / "out.csv", altitude=10.0)
     flown = np.genfromtxt(tmp_path / "out.csv", delimiter=",", names=True)
     assert 5 < len(flown["t_s"]) < 100
-    assert flown["altitude_m"][-1] < 3.0
+    assert flown["altitude_m"][-1] < 4.0  # where the ground may touch it, and a sample earlier
