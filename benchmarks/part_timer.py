@@ -69,6 +69,9 @@ STAGES: Mapping[str, Sequence[str]] = {
         "steer ideal vehicles",
         "give commands to autopilots",
         "take commands from outside",
+        "take commands",
+        "give commands of the program to autopilots",
+        "clear what the law reports of commanded followers",
         "collect messages of ArduPlanes",
         "write slots and errors",
         "find followers commanded from outside",
@@ -169,8 +172,8 @@ class PartTimer(Observer):
         timed = []
         for (part, *_), group in groups:
             together = tuple(group)
-            if loop.PAUSE in together:
-                timed.append(loop.PAUSE)
+            if together[0].name == loop.PAUSE:
+                timed += together
                 continue
             then = self._timed(part, _run_all(together))
             timed.append(replace(together[0], call=None, then=then))

@@ -63,7 +63,10 @@ class FormationStages:
         )
         self._outages = OutageEvents(parts.outages)
         self._left = np.zeros(len(followers), dtype=bool)
-        self.without_slot = self._left.copy()
+        array = world.array_commands
+        # followers that a program in this process commands
+        self._commanded = self._left if array is None else array.commanded[1:]
+        self.without_slot = self._left | self._commanded
         self.write_slots = Call(
             write_formation_state, aircraft, followers, parts.control.offsets, parts.altitudes
         )
@@ -111,7 +114,8 @@ class FormationStages:
 
     def late_command_stages(self) -> Iterator[Stage]:
         """Yield what gives commands to autopilots at their rate, where they change in between."""
-        if self._parts.companions is not None or self._world.external_control is not None:
+        world = self._world
+        if self._parts.companions or world.external_control or world.array_commands:
             name = "give commands to autopilots"
             yield Stage(Part.ACTUATE, StageRate.AUTOPILOT, name, call=self._command_call)
 
@@ -137,7 +141,7 @@ class FormationStages:
 
     def _update_left(self) -> None:
         self._left = self._parts.control.left | self._losses.lost[1:]
-        self.without_slot[:] = self._left
+        self.without_slot[:] = self._left | self._commanded
         self._link_monitor.set_left(self._left)
 
     def _membership_step(self, group: int) -> Callable[[float], None]:

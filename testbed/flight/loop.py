@@ -7,7 +7,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from testbed.core.call_list import Call, run_steps
+from testbed.core.call_list import NOW, Call, run_steps
 from testbed.core.compile import prepare, registered, registering
 from testbed.core.records import (
     AirData,
@@ -32,14 +32,25 @@ from testbed.flight.stages import (
     insert_stages,
     make_stages,
 )
-from testbed.flight.steps import copy_truth, find_losses, has_events
+from testbed.flight.steps import copy_truth, find_losses, has_events, is_reached
 from testbed.flight.tick_loop import LOOK_TICKS, TickInputs, TickLoop
 from testbed.flight.world import World
 from testbed.vehicle.fleet import Move
 
 Ended: TypeAlias = Callable[[float, TickActions], bool]
-# Where a flight waits for commands of its caller.
-PAUSE = Stage(Part.SENSE, StageRate.TICK, "wait for the caller")
+
+
+class NeverEnded:
+    """Let a flight go on to its end; see `Flight.fly`."""
+
+    each_tick = False
+
+    def __call__(self, now: float, due: TickActions) -> bool:
+        """Return false."""
+        return False
+
+
+PAUSE = "wait for the caller"  # name of the stage at which `Flight.ticks` yields
 
 
 def fly(world: World, observers: Sequence[Observer], ended: Ended) -> str:
@@ -105,7 +116,9 @@ class Flight:
         self._loop = self._make_loop(self.stages)
         sense = [each for each in self.stages if each.part is Part.SENSE]
         rest = self.stages[len(sense) :]
-        self._paused_loop = self._make_loop((*sense, PAUSE, *rest))
+        self._until_s = np.full(1, -np.inf)
+        pause = Stage(Part.SENSE, StageRate.TICK, PAUSE, call=Call(is_reached, self._until_s, NOW))
+        self._paused_loop = self._make_loop((*sense, pause, *rest))
         control = (each for each in rest if each.part is Part.CONTROL)
         self._steering = self._make_loop((*sense, *control))
         self._entries = *world.entries, *registered()
@@ -155,7 +168,10 @@ class Flight:
 
     def _controlling(self) -> Iterator[Stage]:
         """Messages, the formation law with its middle loop, the leader's guidance."""
-        formation = self._formation
+        formation, world = self._formation, self._world
+        if world.array_commands is not None:
+            call, name = world.array_commands.take_call(world.aircraft), "take commands"
+            yield Stage(Part.CONTROL, StageRate.TICK, name, call=call)
         if formation is not None:
             yield from formation.law_stages()
         if self._world.external_control is not None:
@@ -171,6 +187,9 @@ class Flight:
             yield from self._formation.late_command_stages()
         if world.external_control is not None:
             yield Stage(part, rate, "take commands from outside", then=self._override_commands)
+        if world.array_commands is not None:
+            call = world.array_commands.override_call(world.aircraft)
+            yield Stage(part, rate, "give commands of the program to autopilots", call=call)
         for vehicles in world.vehicles:
             yield from make_stages(part, rate, "fly by wire", vehicles.autopilot_steps)
         if world.external_processes:
@@ -209,9 +228,12 @@ class Flight:
     def _giving_samples(self) -> Iterator[Stage]:
         """Samples for the observers: in blocks where they take these."""
         world, part, rate, observers = self._world, Part.OBSERVE, StageRate.LOG, self._observers
+        if world.array_commands is not None and world.parts is not None:
+            call = world.array_commands.clear_call(world.followers)
+            yield Stage(part, rate, "clear what the law reports of commanded followers", call=call)
         buffers = []
-        # where aircraft of a formation are commanded, a sample is not just a copy of the records
-        if world.external_control is None or world.parts is None:
+        # where external programs command aircraft, a sample is not just a copy of the records
+        if world.external_control is None:
             buffers = [(each, each.share(len(world.names))) for each in observers.of_blocks]
         records = world.aircraft, world.followers, world.links
         for each, buffer in buffers:
@@ -268,9 +290,19 @@ class Flight:
             ended: see `fly`.
 
         Yields:
-            The time of a tick, s, when its estimates are written, before its control.
+            The time of a tick, s, when its estimates are written, before its control; of each, or
+            of the first at or after that of `pause_at`.
         """
         return self._run(self._paused_loop, ended)
+
+    @property
+    def last_s(self) -> float:
+        """Time of the last tick of a flight that has ended in `ticks`, s."""
+        return self._paused_loop.time_s
+
+    def pause_at(self, until_s: float) -> None:
+        """Let `ticks` yield nothing before a time, s; infinite: nothing up to the end."""
+        self._until_s[0] = until_s
 
     def _run(self, loop: TickLoop, ended: Ended) -> Iterator[float]:
         """Run blocks of ticks to the end of the flight; yield the time of each pause, s."""
@@ -285,7 +317,7 @@ class Flight:
                     return
                 loop.limit(look)
                 while (stage := loop.run()) is not None:
-                    if stage is PAUSE:
+                    if stage.name == PAUSE:
                         yield loop.time_s
                     elif stage.then is not None:
                         stage.then(loop.time_s)
@@ -361,7 +393,7 @@ class Flight:
     def _observe(self, now: float) -> None:
         """Hand a sample and the events to the observers; end the run where it is over."""
         world, sample, followers = self._world, self._sample, self._world.followers
-        if world.external_control is not None and world.parts is not None:
+        if world.external_control is not None:
             masked = world.external_control.mask_diagnostics(followers)
             if masked is not followers:
                 records = world.aircraft, masked, world.links

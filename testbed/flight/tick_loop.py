@@ -285,7 +285,9 @@ def _run_ticks(
             at.stage += 1
         at.stage = 0
         at.left -= 1
-        at.done = not moves
+        if not moves:
+            at.done = True
+            return False
         at.row += 1
         if at.row == at.rows and at.period > 0:
             at.row = 0

@@ -14,6 +14,7 @@ from testbed.core.records import (
     RunInfo,
 )
 from testbed.flight.arduplane_vehicles import ArduPlaneVehicles
+from testbed.flight.array_commands import ArrayCommands
 from testbed.flight.companion import Companions
 from testbed.flight.control import Control, ControlGroup
 from testbed.flight.external_control import ExternalControl
@@ -127,7 +128,8 @@ class World:
     envelope: EnvelopeMonitor
     lowest_m: Array  # (N,) m above the terrain; an aircraft below counts as on the ground
     fly_on: bool  # the run continues without lost aircraft
-    external_control: ExternalControl | None  # None: no external commands
+    external_control: ExternalControl | None  # None: no external programs command aircraft
+    array_commands: ArrayCommands | None  # None: no program in this process commands any
     initial_events: tuple[Event, ...]  # from before the flight
     info: RunInfo
     entries: tuple[Arguments, ...]  # that step them

@@ -10,6 +10,7 @@ from testbed.autopilot.parameters import FbwaParams
 from testbed.commands.autopilot_session import AutopilotSession
 from testbed.commands.navigator import NavigatorConfig
 from testbed.core.records import FbwaCommand
+from testbed.flight.array_commands import ArrayCommands
 from testbed.flight.external_control import CommandSession, ExternalControl
 from testbed.flight.leader_control import LeaderController, MissionController
 from testbed.flight.schedule import Clock
@@ -19,9 +20,24 @@ from testbed.mavlink.mission_plans import ItemFlightPlan, items_from_mission, it
 from testbed.mavlink.vehicle_control import FlightMode, VehicleControl
 from testbed.plan.fleet import Fleet, PlannedAircraft
 from testbed.scenario.aircraft import External
-from testbed.vehicle.trim import InitialState
+from testbed.vehicle.trim import InitialState, TrimResult
 
 _BANK_LIMIT_DEG, _CLIMB_LIMIT_MPS = 45.0, 1.5  # of a follower's circles and missions
+
+
+def build_array_commands(fleet: Fleet, jsbsim: JsbsimVehicles | None) -> ArrayCommands | None:
+    """Build the commands of a program in this process; None: no aircraft takes any."""
+    trims = {}
+    for row, one in enumerate(fleet.aircraft):
+        takes = one.takes_commands and isinstance(one.section.commanded_by, External)
+        if jsbsim is not None and takes:
+            trims[row] = trimmed_command(jsbsim.fleet.trims[fleet.model_rows.index(row)])
+    return ArrayCommands(fleet.names, trims) if trims else None
+
+
+def trimmed_command(trim: TrimResult) -> FbwaCommand[float]:
+    """Return the command of the flight in trim."""
+    return FbwaCommand(trim.placement.pitch, trim.placement.roll, trim.controls.throttle)
 
 
 def build_external_control(
@@ -55,7 +71,7 @@ def build_external_control(
         config = NavigatorConfig(
             row=row,
             start=(north, east, -down),
-            trim=FbwaCommand(trim.placement.pitch, trim.placement.roll, trim.controls.throttle),
+            trim=trimmed_command(trim),
             hold=one.guidance.model_dump(),
             flight_params=flight_params,
             origin=fleet.origin,

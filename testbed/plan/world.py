@@ -40,7 +40,7 @@ from testbed.plan.air import (
     temperature_offset,
     temperature_warnings,
 )
-from testbed.plan.commands import build_external_control
+from testbed.plan.commands import build_array_commands, build_external_control
 from testbed.plan.control import build_companions, build_control
 from testbed.plan.faults import build_faults, build_membership, fault_warnings
 from testbed.plan.fleet import Fleet, FormationPlan, resolve, resolve_single
@@ -80,6 +80,7 @@ def build(
     scenario: Scenario,
     *,
     commanded: bool = False,
+    in_process: bool = False,
     arduplane: Path | None = None,
     processes: int | None = 1,
 ) -> World:
@@ -89,6 +90,7 @@ def build(
         scenario: as resolved.
         commanded: external programs may command the aircraft, also where the scenario does not set
             so.
+        in_process: aircraft that external programs command take the commands of this one.
         arduplane: the program for `autopilot: ardupilot` where the scenario names none; None: that
             of the environment.
         processes: that step JSBSim models; None: as many as are fastest on this machine.
@@ -138,8 +140,10 @@ def build(
     control = build_control(fleet, scenario.controller, clock)
     radio, outages = build_radio(names, scenario.network, fleet.weights, origin, seed)
     faults = build_faults(fleet, vehicles.fleet, on_failure.declared_after_s)
-    external = None
-    if commanded or any(each.commanded_by.kind == "external" for each in scenario.aircraft):
+    external, array = None, None
+    if in_process:
+        array = build_array_commands(fleet, jsbsim)
+    elif commanded or any(each.commanded_by.kind == "external" for each in scenario.aircraft):
         external = build_external_control(fleet, clock, leader.controller, starts, jsbsim)
     estimators = _build_estimators(scenario, faults)
     companions = build_companions(scenario.controller.companion, clock, aircraft)
@@ -152,9 +156,10 @@ def build(
         links=radio.links,
         parts=FormationParts(
             scripted_leader=leader.vehicle is not None,
-            leader_controller=external
-            if external and external.commands_leader
-            else leader.controller,
+            leader_controller=next(
+                (each for each in (external, array) if each and each.commands_leader),
+                leader.controller,
+            ),
             built_control=control,
             control=Control(
                 control.groups,
@@ -182,6 +187,7 @@ def build(
         lowest_m=_lowest_heights(fleet, vehicles.fleet),
         fly_on=scenario.limits.on_loss == "continue",
         external_control=external,
+        array_commands=array,
         initial_events=(
             *(Event(0.0, "info", "run", text) for text in control.messages),
             *engine_notes(vehicles.fleet),
@@ -254,7 +260,8 @@ def build_single(flight: SingleAircraft) -> World:
         envelope=build_envelope_monitor(fleet, flight.limits, None),
         lowest_m=jsbsim.fleet.lowest_m,
         fly_on=False,
-        external_control=build_external_control(fleet, clock, None, starts, jsbsim),
+        external_control=None,
+        array_commands=build_array_commands(fleet, jsbsim),
         initial_events=(
             *engine_notes(jsbsim.fleet),
             *gust_input_warnings(fleet, jsbsim.fleet, steady_air=air.steady),

@@ -163,8 +163,8 @@ def external_summary(
     if world.external_processes:
         processes = world.external_processes
         summary["arduplane"] = {k: v for each in processes for k, v in each.summary().items()}
-    if world.external_control:
-        summary["commanded"] = world.external_control.command_counts()
+    if commands := world.external_control or world.array_commands:
+        summary["commanded"] = commands.command_counts()
     return summary
 
 

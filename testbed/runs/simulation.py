@@ -13,13 +13,14 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn, Self, SupportsIndex, TypeAlias
 
+import numpy as np
 from pydantic import Field
 
-from testbed.commands.autopilot_session import MANUAL_ANGLE_LIMIT, AutopilotSession
+from testbed.commands.autopilot_session import MANUAL_ANGLE_LIMIT
 from testbed.core.compile import reporting
 from testbed.core.errors import InputError, NotCopiedError
 from testbed.core.records import Event, FbwaCommand, Observer, RunInfo, Sample
-from testbed.flight.loop import Flight
+from testbed.flight.loop import Flight, NeverEnded
 from testbed.flight.stages import UserStage, check_stages
 from testbed.flight.world import World
 from testbed.logs.file_record import record_files
@@ -122,7 +123,7 @@ class Simulation:
             if isinstance(scenario, SingleAircraft):
                 world = build_single(scenario)
             else:
-                world = build(scenario)
+                world = build(scenario, in_process=True)
         self._end_observers()
         self.scenario = scenario
         meter, events = MetricsObserver(published=self.scenario.published), _Events()
@@ -140,10 +141,10 @@ class Simulation:
             self._open.append(each)
         self.names = world.names
         self.outcome: str | None = None
-        self._commands = _trimmed_commands(world)
+        self._array = world.array_commands
         self._period = world.clock.autopilot
         self._begun_s = time.perf_counter()
-        self._ticks = self._flight.ticks(lambda now, due: False)
+        self._ticks = self._flight.ticks(NeverEnded())
         self.time_s = next(self._ticks)
         return self.state
 
@@ -173,7 +174,9 @@ class Simulation:
                 until = check_argument("until", until, _StepArguments, "until")
             due = max(due, clock.ticks(until))
         if commands is not None:
-            self._commands |= self._checked_commands(commands)
+            for row, command in self._checked_commands(commands).items():
+                if self._array is not None:  # else no row has passed
+                    self._array.commands[row] = command
         if due + self._period > clock.ticks(self._world.duration_s):
             due = math.inf  # the flight ends within the step
         try:
@@ -183,7 +186,7 @@ class Simulation:
             raise
         return self.state
 
-    def _checked_commands(self, commands: Commands) -> dict[AutopilotSession, FbwaCommand[float]]:
+    def _checked_commands(self, commands: Commands) -> dict[int, FbwaCommand[float]]:
         if not isinstance(commands, Mapping):
             raise InputError(
                 f"commands: is {shown_value(commands)} (write {{name: (pitch, roll, throttle)}})"
@@ -194,14 +197,12 @@ class Simulation:
         """Fly to a tick of the base rate, or to the end."""
         for log in self._unclosed:
             log.check_process()
-        while self._world.clock.ticks(self.time_s) < due:
-            for session, command in self._commands.items():
-                session.set_manual_command(command)  # a lost one rejects it
-            try:
-                self.time_s = next(self._ticks)
-            except StopIteration:
-                self.outcome = self._flight.ending
-                return
+        clock = self._world.clock
+        self._flight.pause_at(due if math.isinf(due) else clock.time_s(int(due)))
+        try:
+            self.time_s = next(self._ticks)
+        except StopIteration:
+            self.outcome, self.time_s = self._flight.ending, self._flight.last_s
 
     @property
     def state(self) -> Sample:
@@ -227,7 +228,10 @@ class Simulation:
     @property
     def commands(self) -> dict[str, FbwaCommand[float]]:
         """The command of each aircraft that takes commands, by name; first its trim."""
-        return {session.name: command for session, command in self._commands.items()}
+        if self._array is None:
+            return {}
+        rows = np.flatnonzero(self._array.commanded).tolist()
+        return {self.names[row]: FbwaCommand(*self._array.commands[row].item()) for row in rows}
 
     @property
     def metrics(self) -> Metrics:
@@ -259,10 +263,12 @@ class Simulation:
             write_json(self.directory / METRICS_NAME, metrics)
             record_files(self.directory, LOG_NAME, METRICS_NAME)
 
-    def _commandable(self, name: str) -> AutopilotSession:
-        for session in self._commands:
-            if session.name == name:
-                return session
+    def _commandable(self, name: str) -> int:
+        """Return the row of an aircraft that takes commands."""
+        if name in self.names:
+            row = self.names.index(name)
+            if self._array is not None and self._array.commanded[row]:
+                return row
         if name not in self.names:
             shown = name if isinstance(name, str) else shown_value(name)
             raise InputError(f"{shown}: no such aircraft (there are {', '.join(self.names)})")
@@ -333,17 +339,6 @@ class _Events:
 
     def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:
         self.all.extend(events)
-
-
-def _trimmed_commands(world: World) -> dict[AutopilotSession, FbwaCommand[float]]:
-    """Return the first command of each aircraft that takes commands."""
-    if world.external_control is None:
-        return {}
-    return {
-        each: each.trim
-        for each in world.external_control.vehicles
-        if isinstance(each, AutopilotSession) and each.external
-    }
 
 
 def _checked(
