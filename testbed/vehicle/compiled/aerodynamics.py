@@ -7,7 +7,7 @@ from testbed.vehicle.compiled.functions import expression
 from testbed.vehicle.compiled.source import StepSource
 
 # Sets of axes of a force, with the force in B by their sums.
-_FORCES = {
+_FORCES: dict[tuple[str, ...], str] = {
     ("DRAG", "SIDE", "LIFT"): "rotate(wind_axes(alpha, beta), (-{0}, {1}, -{2}))",
     ("AXIAL", "SIDE", "NORMAL"): "(-{0}, {1}, -{2})",
     ("X", "Y", "Z"): "({0}, {1}, {2})",

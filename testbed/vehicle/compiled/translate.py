@@ -26,7 +26,7 @@ from testbed.vehicle.compiled.columns import (
 from testbed.vehicle.compiled.components import component, outputs
 from testbed.vehicle.compiled.elements import XmlNode, read_aircraft
 from testbed.vehicle.compiled.propulsion import engine_property, propulsion, throttle_property
-from testbed.vehicle.compiled.source import SURFACES, StepSource
+from testbed.vehicle.compiled.source import SURFACES, Recalled, StepSource
 from testbed.vehicle.environment import (
     ADAMS_BASHFORTH_2,
     ADAMS_BASHFORTH_3,
@@ -174,6 +174,7 @@ import numpy as np
 
 from testbed.core.compile import kernel
 from testbed.vehicle.compiled.frame import *
+from testbed.vehicle.compiled.kinematic import travel
 from testbed.vehicle.compiled.limits import *
 from testbed.vehicle.compiled.tables import table_2
 '''
@@ -190,7 +191,7 @@ class Translation:
         memories: names of the columns of older derivatives, the newest first, by the name of the
             derivative's variable.
         own: columns of the aircraft's own properties.
-        initial: values of columns that JSBSim has no property for.
+        recalled: columns that JSBSim has no property for.
     """
 
     function: str
@@ -198,7 +199,7 @@ class Translation:
     columns: dict[str, int]
     memories: dict[str, tuple[tuple[str, ...], ...]]
     own: tuple[str, ...]
-    initial: dict[str, float]
+    recalled: dict[str, Recalled]
 
 
 def translate(
@@ -349,7 +350,7 @@ class _Translator:
             columns,
             self._memories,
             tuple(own),
-            source.initial,
+            source.recalled,
         )
 
     def _memory(self) -> list[RowQuantity]:
