@@ -168,7 +168,7 @@ _ROWS = {
         f"location orient sense p_factor {THRUSTERS} {_TEXT}",
         folders=_PROPULSION,
         kinds=THRUSTERS,
-        not_translated="p_factor",
+        not_translated="",
     ),
     "tank": Element(
         "location drain_location radius inertia_factor grain_config capacity contents density "

@@ -144,14 +144,37 @@ def axes(*names):
     return [(f'<axis name="{one}">', f'<axis name="{other}">') for one, other in others]
 
 
+POINT_MASS = """<pointmass name="payload"> <weight unit="LBS"> 2 </weight>
+<location unit="IN"> <x> 40 </x> <y> 3 </y> <z> 1 </z> </location> </pointmass></mass_balance>"""
+# JSBSim runs all systems before all autopilots, and these before the flight control.
+SYSTEMS = """</flight_control>
+<autopilot name="made"> <property value="0.1"> made/gain </property> <channel name="made">
+<pure_gain name="made/roll"> <input> fcs/left-aileron-pos-rad </input> <gain> made/gain </gain>
+</pure_gain> </channel> </autopilot>
+<system name="late"> <channel name="made"> <summer name="made/sum">
+<input> fcs/left-aileron-pos-rad </input> <input> made/roll </input>
+</summer> </channel> </system>"""
 READS = {f"read-{number}": read(name) for number, name in enumerate(PROPERTIES)}
 MADE = {
     "functions": [('<axis name="DRAG">', functions(FUNCTIONS | READS))],
-    "components": [("</flight_control>", channel(COMPONENTS))],
-    "filters": [("</flight_control>", channel(FILTERS))],
+    "components": [("</flight_control>", channel(COMPONENTS | FILTERS))],
+    "propulsion": [
+        ("<sense> 1 </sense>", "<sense> -1 </sense><p_factor> 5 </p_factor>"),
+        ("<x> 1 </x> <y> 0 </y> <z> 0 </z>", "<x> 1 </x> <y> 2 </y> <z> 3 </z>"),
+        ('<ixz unit="SLUG*FT2"> 0 </ixz>', '<ixz unit="SLUG*FT2"> 0.1 </ixz>'),
+        ('<iyz unit="SLUG*FT2"> 0 </iyz>', '<iyz unit="SLUG*FT2"> 0.07 </iyz>'),
+        ("</mass_balance>", POINT_MASS),
+    ],
+    "order_of_systems": [("</flight_control>", SYSTEMS)],
+    "lift_squared": [
+        ("<value> 0.04 </value>", f"<value> 0.04 </value>{read('aero/cl-squared')}"),
+        ('<axis name="DRAG">', functions({"lift": read("aero/cl-squared")})),
+    ],
     "body_axes": axes("X", "Y", "Z"),
     "normal_axes": axes("AXIAL", "SIDE", "NORMAL"),
 }
+# Nearly all of them, for the compiler.
+ALL = MADE["functions"] + MADE["components"] + MADE["propulsion"]
 # Faults of a translator, in the source that it writes for an aircraft.
 FAULTS = {
     "an integrator of another order": (

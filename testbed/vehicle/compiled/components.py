@@ -49,7 +49,7 @@ def _clip(node: XmlNode, value: str, source: StepSource) -> str:
     kind = limits.attributes.get("type", "")
     if kind == "cyclic":
         span = source.assign(f"{high} - {low}")
-        turned = source.assign(f"fmod({value} - {low}, {span}) + {low}")
+        turned = source.assign(f"np.fmod({value} - {low}, {span}) + {low}")
         return source.assign(f"{turned} + {span} if {turned} < {low} else {turned}")
     if kind:
         limits.fail(f"has the type {kind}")

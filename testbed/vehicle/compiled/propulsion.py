@@ -92,6 +92,16 @@ def _propeller(thruster: XmlNode, propeller: XmlNode, rpm: str, source: StepSour
     ct, cp = (propeller.value(each, default=1.0) for each in ("ct_factor", "cp_factor"))
     d, two_pi = literal(diameter), literal(2.0 * math.pi)
     sense_text, ixx_text = literal(sense), literal(ixx)
+    shift = ""
+    if (factor := thruster.value("p_factor", default=0.0)) > 0.0001:
+        area = literal(0.25 * diameter * diameter * math.pi)
+        point = f"({literal(x)}, {literal(y)}, {literal(z)})"
+        shift = (
+            f"across = add(uvw_aero, cross(pqr, lever))\n"
+            f"through = inflow + induced_velocity(inflow, thrust, rho, {area})\n"
+            f"point = shift_thrust({point}, across, through, {literal(sense * factor)})\n"
+            "lever = arm(cg, point)"
+        )
     source.emit(
         f"""
 lever = arm(cg, ({literal(x)}, {literal(y)}, {literal(z)}))
@@ -110,6 +120,7 @@ spare = spare / omega if omega > 0.01 else spare
 {rpm} = (rps + ((spare / {ixx_text}) / {two_pi}) * dt) * 60.0
 if {rpm} < 0.0:
     {rpm} = 0.0
+{shift}
 force = add(force, (thrust, 0.0, 0.0))
 gyroscopic = (0.0, rates[2] * spin, -(rates[1] * spin))
 moment_propeller = add(add(gyroscopic, (torque, 0.0, 0.0)), cross(lever, (thrust, 0.0, 0.0)))

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from testbed.vehicle.compiled.aerodynamics import aerodynamics
+from testbed.vehicle.compiled.aerodynamics import aerodynamics, reads_lift_squared
 from testbed.vehicle.compiled.columns import (
     AIR_INPUTS,
     COLUMN,
@@ -176,7 +176,7 @@ from testbed.core.compile import kernel
 from testbed.vehicle.compiled.frame import *
 from testbed.vehicle.compiled.kinematic import travel
 from testbed.vehicle.compiled.limits import *
-from testbed.vehicle.compiled.tables import table_2
+from testbed.vehicle.compiled.tables import table_2, whole
 '''
 
 
@@ -253,6 +253,8 @@ class _Translator:
         source.declare_frame(*_AFTER_AUXILIARY, *_AFTER_ACCELERATIONS)
         source.declare_frame("aero/bi2vel", "aero/ci2vel", "aero/qbar-area")
         source.declare(*_HELD)
+        if reads_lift_squared(root):
+            source.declare_frame("aero/cl-squared")
         parts = root.find("propulsion")
         for number, _ in enumerate(parts.all("engine") if parts else []):
             source.declare_frame(engine_property(number, "propeller-rpm"))
