@@ -65,6 +65,9 @@ FUNCTIONS = {
     "or": f"<or><lt>{ALPHA}{BETA}</lt><gt>{ALPHA}{Q}</gt></or>",
     "not": f"<not><lt>{ALPHA}{BETA}</lt></not>",
     "ifthen": f"<ifthen><lt>{ALPHA}{BETA}</lt><sin>{ALPHA}</sin><cos>{BETA}</cos></ifthen>",
+    "switch": f"<switch><abs>{TENFOLD}</abs>{''.join(map(value, range(20)))}</switch>",
+    "interpolate1d": f"<interpolate1d>{ALPHA}{value(-0.5)}{value(1)}{value(-0.2)}{value(3)}"
+    f"{value(0.1)}{Q}{value(0.7)}{value(-1)}</interpolate1d>",
     "table-2": f"<table>{ROWS}{grid(1.0)}</table>",
     "table-3": f'<table>{ROWS}<independentVar lookup="table"> velocities/q-rad_sec '
     "</independentVar>"
@@ -79,6 +82,7 @@ PROPERTIES = (
     *(f"atmosphere/{each}" for each in ("T-R", "P-psf", "a-fps", "sigma", "theta", "delta")),
     *(f"aero/{each}" for each in ("alpha-deg", "beta-deg", "mag-beta-rad", "betadot-rad_sec")),
     *(f"aero/{each}" for each in ("qbarUW-psf", "qbarUV-psf", "alphadot-deg_sec")),
+    *(f"propulsion/engine/{each}" for each in ("thrust-lbs", "advance-ratio")),
     *("flight-path/gamma-rad", "accelerations/udot-ft_sec2", "accelerations/qidot-rad_sec2"),
 )
 STICK = "<input> fcs/aileron-cmd-norm </input>"
@@ -104,7 +108,8 @@ COMPONENTS = {
     '<clipto type="cyclic"> <min> -1.5 </min> <max> 2 </max> </clipto>',
     "pure_gain-flap": f"{STICK}<gain> 15 </gain><output> fcs/flap-pos-deg </output>",
     "summer-aliases": "<input> fcs/flap-pos-rad </input><input> fcs/elevator-pos-deg </input>"
-    "<input> fcs/mag-elevator-pos-rad </input><input> fcs/pitch-trim-cmd-norm </input>",
+    "<input> fcs/mag-elevator-pos-rad </input><input> fcs/pitch-trim-cmd-norm </input>"
+    "<input> propulsion/engine[0]/thrust-coefficient </input>",
 }
 FILTERS = {
     "lag_filter": f"{STICK}<c1> 10 </c1>",

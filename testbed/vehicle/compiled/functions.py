@@ -146,11 +146,36 @@ def _round(node: XmlNode, values: Sequence[str], source: StepSource) -> str:
     return f"(copysign(np.floor(abs({value}) + 0.5), {value}) * {divisor})"
 
 
+def _switch(node: XmlNode, values: Sequence[str], source: StepSource) -> str:
+    """Return the value whose number, from 0, is nearest to the first; NaN: there is none."""
+    if len(values) < 2:
+        node.fail("has no values")
+    number = source.assign(f"np.floor({values[0]} + 0.5)")
+    chosen = "nan"
+    for k, value in reversed(list(enumerate(values[1:]))):
+        chosen = f"({value} if {number} == {literal(float(k))} else {chosen})"
+    return chosen
+
+
+def _interpolate(node: XmlNode, values: Sequence[str], source: StepSource) -> str:
+    """Interpolate between pairs of a breakpoint and its value, beyond which the value is held."""
+    if len(values) < 5 or len(values) % 2 == 0:
+        node.fail("has not two pairs or more after its variable")
+    x, *pairs = (source.assign(value) for value in values)
+    points = list(zip(pairs[::2], pairs[1::2], strict=True))
+    found = points[-1][1]
+    for (x0, y0), (x1, y1) in reversed(list(pairwise(points))):
+        found = f"({y0} + ({x} - {x0}) * ({y1} - {y0}) / ({x1} - {x0}) if {x} <= {x1} else {found})"
+    return f"({points[0][1]} if {x} <= {points[0][0]} else {found})"
+
+
 _OTHERS: dict[str, Callable[[XmlNode, Sequence[str], StepSource], str]] = {
     "quotient": _quotient,
     "abs": _absolute,
     "toradians": _to_radians,
     "todegrees": _to_degrees,
+    "switch": _switch,
+    "interpolate1d": _interpolate,
     "log2": _log2,
     "not": _not,
     "sign": _sign,

@@ -13,6 +13,14 @@ _DEFAULT_WATTS = 745.7
 _NEWTON_METRES = 1.3558  # of a foot-pound, as JSBSim's motors have it
 
 
+# Properties of an engine that files may read, beside its speed.
+ENGINE_OUTPUTS = {
+    "thrust-lbs": "thrust",
+    "advance-ratio": "advance",
+    "thrust-coefficient": "ct",
+}
+
+
 def engine_property(number: int, name: str) -> str:
     """Return a property of an engine, counted from 0."""
     return f"propulsion/engine{f'[{number}]' if number else ''}/{name}"
@@ -53,6 +61,8 @@ def _engine(engine: XmlNode, number: int, source: StepSource) -> None:
     else:
         motor.fail("is not translated")
     _propeller(thruster, propeller, rpm, source)
+    for name, value in ENGINE_OUTPUTS.items():
+        source.provide(engine_property(number, name), value)
 
 
 def _brushless(motor: XmlNode, rpm: str, throttle: str, source: StepSource) -> None:

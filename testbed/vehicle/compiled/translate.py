@@ -25,7 +25,12 @@ from testbed.vehicle.compiled.columns import (
 )
 from testbed.vehicle.compiled.components import component, outputs
 from testbed.vehicle.compiled.elements import XmlNode, read_aircraft
-from testbed.vehicle.compiled.propulsion import engine_property, propulsion, throttle_property
+from testbed.vehicle.compiled.propulsion import (
+    ENGINE_OUTPUTS,
+    engine_property,
+    propulsion,
+    throttle_property,
+)
 from testbed.vehicle.compiled.source import SURFACES, Recalled, StepSource
 from testbed.vehicle.environment import (
     ADAMS_BASHFORTH_2,
@@ -257,7 +262,8 @@ class _Translator:
             source.declare_frame("aero/cl-squared")
         parts = root.find("propulsion")
         for number, _ in enumerate(parts.all("engine") if parts else []):
-            source.declare_frame(engine_property(number, "propeller-rpm"))
+            outputs_of = ("propeller-rpm", *ENGINE_OUTPUTS)
+            source.declare_frame(*(engine_property(number, each) for each in outputs_of))
             source.declare(throttle_property(number))
         for system in self._ordered_systems():
             for node in system.all("property"):
