@@ -64,7 +64,7 @@ train: $(STAMP) $(TRAINING_STAMP)
 		$(BIN)/python examples/hold_slot_training.py $(ARGS)
 
 # Everything: the tests, 1,000 starts of the theorem, statistics of air and network on more samples,
-# broken MAVLink frames, flight logs and input files, aircraft that try to act, any arguments from Python,
+# compiled flight models from 1,000 states, broken MAVLink frames, flight logs and input files, aircraft that try to act, any arguments from Python,
 # numbers of a scenario at and beyond their bounds,
 # real time with nothing else running, a study whose processes are killed, 200 runs killed at random
 # moments and 200 stopped by two signals, the snippets of every docs page, laws of large formations, every
@@ -73,6 +73,7 @@ check-all: test release
 	@TESTBED_STARTS=1000 $(BIN)/pytest -q tests/theorems/test_theorem_many_starts.py
 	@TESTBED_AIR_SAMPLES=60 $(BIN)/pytest -q -n $(JOBS) tests/equations/test_atmosphere_dryden.py \
 		tests/equations/test_atmosphere_von_karman.py tests/equations/test_atmosphere_field.py
+	@TESTBED_STATES=1000 $(BIN)/pytest -q tests/equations/test_compiled_states.py
 	@TESTBED_PACKETS=1000000 $(BIN)/pytest -q -n $(JOBS) tests/equations/test_network_loss.py \
 		tests/equations/test_network_delay.py tests/equations/test_network_queue.py \
 		tests/equations/test_network_keys.py

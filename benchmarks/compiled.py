@@ -1,7 +1,8 @@
 """Time the compiled flight model beside JSBSim's own step, in turns.
 
-The compiled model steps 4 ticks per call, as between two autopilot ticks; JSBSim runs bare. What
-counts is the ratio: both are measured in turns in one process, so that other load slows both.
+The compiled model is called from compiled code, as in a flight, for 4 steps, as between two ticks
+of the autopilot; JSBSim runs bare. What counts is the ratio: both are measured in turns in one
+process, so that other load slows both.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from time import perf_counter
 
 import numpy as np
 
+from testbed.core.call_list import Call, CallList
 from testbed.core.records import NedOrigin
 from testbed.vehicle.compiled import CompiledAircraft
 from testbed.vehicle.jsbsim_adapter import load, trim_aircraft
@@ -52,15 +54,15 @@ def measure(folder: Path) -> None:
             ],
             (number, 1),
         )
-        which = np.arange(number)
         args = state, wind, controls, controls, changed, 1.0 / RATE_HZ, TICKS, aircraft.clearance
-        aircraft.run_rows(*args, which, status)
-        ours, jsbsim, ratios = [], [], []
         calls = max(1, CALLS // number)
+        call = Call(aircraft.run_rows, *args, np.arange(number), status)
+        many = CallList([call] * calls)
+        many.run(0, 0.0)
+        ours, jsbsim, ratios = [], [], []
         for _ in range(TURNS):
             begun = perf_counter()
-            for _ in range(calls):
-                aircraft.run_rows(*args, which, status)
+            many.run(0, 0.0)
             ours.append((perf_counter() - begun) / (calls * number * TICKS))
             state[:] = start
             begun = perf_counter()

@@ -44,6 +44,11 @@ version, as that licence requires. Of pymavlink only the generated message table
 which are under the MIT licence. The sources of the aircraft are in their folders
 ([Rascal](../aircraft/rascal110/SOURCE.md), [X8](../aircraft/skywalker_x8/SOURCE.md)).
 
+The compiled flight models (`testbed/vehicle/compiled`) are this project's own Python under the MIT
+licence, written from the equations of flight, JSBSim's documentation and the behaviour of release
+1.3.3, with which tests compare them to the bit. No file of JSBSim is part of them: what they
+translate are an aircraft's XML files, which keep the licence of their authors.
+
 Tools for tests and docs are not installed with the testbed and not imported by it. A test compares
 this page, and every package of the lock file, with a list of licences compatible with MIT.
 """

@@ -168,7 +168,7 @@ _ROWS = {
         f"location orient sense p_factor {THRUSTERS} {_TEXT}",
         folders=_PROPULSION,
         kinds=THRUSTERS,
-        not_translated="p_factor",
+        not_translated="",
     ),
     "tank": Element(
         "location drain_location radius inertia_factor grain_config capacity contents density "
@@ -253,7 +253,12 @@ _ROWS = {
     "clipto": Element(f"min:limit max:limit {_TEXT}", "type", not_translated=""),
     "domain range": Element(f"min:limit max:limit {_TEXT}", not_translated=""),
     "alphalimits hysteresis_limits": Element(f"min:limit max:limit {_TEXT}"),
-    _FILTERS: Element(f"c1 c2 c3 c4 c5 c6 trigger {_COMPONENT}", "type", name=Name.CONTROL),
+    _FILTERS: Element(
+        f"c1 c2 c3 c4 c5 c6 trigger {_COMPONENT}",
+        "type",
+        name=Name.CONTROL,
+        not_translated="trigger init delay",
+    ),
     "summer": Element(f"bias {_COMPONENT}", "type", name=Name.CONTROL, not_translated="init delay"),
     "deadband": Element(
         f"width gain {_COMPONENT}", "type", name=Name.CONTROL, not_translated="init delay"
@@ -269,9 +274,14 @@ _ROWS = {
     ),
     "default": Element(attributes="value", text=Text.VALUE, not_translated=""),
     "test": Element("test", "value logic", text=Text.VALUE, not_translated=""),
-    "kinematic": Element(f"traverse noscale {_COMPONENT}", "type", name=Name.CONTROL),
-    "traverse": Element(f"setting {_TEXT}"),
-    "setting": Element(f"position time {_TEXT}"),
+    "kinematic": Element(
+        f"traverse noscale {_COMPONENT}",
+        "type",
+        name=Name.CONTROL,
+        not_translated="init delay",
+    ),
+    "traverse": Element(f"setting {_TEXT}", not_translated=""),
+    "setting": Element(f"position time {_TEXT}", not_translated=""),
     "fcs_function": Element(
         f"function {_COMPONENT}", "type", name=Name.CONTROL, not_translated="init delay"
     ),
@@ -281,8 +291,9 @@ _ROWS = {
         f"lag rate_limit bias deadband_width hysteresis_width {_COMPONENT}",
         "type",
         name=Name.CONTROL,
+        not_translated="init delay",
     ),
-    "rate_limit": Element(attributes="sense", text=Text.VALUE),
+    "rate_limit": Element(attributes="sense", text=Text.VALUE, not_translated=""),
     "linear_actuator": Element(
         f"set:number reset versus bias module hysteresis lag rate gain {_COMPONENT}",
         "type",

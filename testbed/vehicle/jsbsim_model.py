@@ -6,6 +6,7 @@ JSBSim's units and signs occur only here and in `jsbsim_io`.
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -53,8 +54,13 @@ class Placing:
     """What determines the state after an initial condition of JSBSim."""
 
     angles: Vector  # roll, pitch and yaw of which JSBSim makes the attitude, rad
-    before: dict[str, float]  # watched properties before it
+    recent: tuple[dict[str, float], ...]  # watched properties before it, the newest first
     after: dict[str, float]  # and after it
+
+    @property
+    def before(self) -> dict[str, float]:
+        """Watched properties just before it."""
+        return self.recent[0]
 
 
 class JsbsimModel:
@@ -108,6 +114,7 @@ class JsbsimModel:
         self._angles = [self.node(f"ic/{name}-rad").get_double_value for name in ("phi", "theta")]
         self.placing: Placing | None = None
         self._watched: dict[str, Callable[[], float]] = {}
+        self._recent: deque[dict[str, float]] = deque(maxlen=0)
         self._speeds = [self.node(f"ic/{name}-fps").set_double_value for name in "uvw"]
         self._rates = [self.node(f"ic/{name}-rad_sec").set_double_value for name in "pqr"]
         self._accelerations = [
@@ -137,8 +144,14 @@ class JsbsimModel:
         """Return the node of a property; None if the aircraft does not have it."""
         return self._manager.get_node(name)
 
-    def watch(self, names: Iterable[str]) -> None:
-        """Keep the values of properties, of those that there are, before and after placements."""
+    def watch(self, names: Iterable[str], frames: int = 0) -> None:
+        """Keep the values of properties, of those that there are, before and after placements.
+
+        Args:
+            names: of the properties.
+            frames: keep also the values of this many frames before, if a placement has them.
+        """
+        self._recent = deque(maxlen=frames)
         nodes = {name: self.find(name) for name in names}
         self._watched = {name: node.get_double_value for name, node in nodes.items() if node}
 
@@ -274,6 +287,8 @@ class JsbsimModel:
         rpm, moments = -1.0, [math.inf] * 3
         for _ in range(_MAX_SPIN_STEPS):
             self.fdm.run()
+            if self._recent.maxlen:
+                self._recent.append(self._look())
             rpm_before, rpm = rpm, self._rpm()
             settled = abs(rpm - rpm_before) < 1e-9 * rpm or rpm == rpm_before
             if settled and not self.has_lag:
@@ -339,7 +354,7 @@ class JsbsimModel:
 
     def _initialise(self, placement: Placement, course: float, wind_ned: Vector) -> None:
         angles = (placement.roll, placement.pitch, course - placement.course)
-        before = self._look()
+        recent = tuple(reversed(self._recent)) or (self._look(),)
         *set_others, set_yaw = self._attitude
         for set_value, value in zip(set_others, angles, strict=False):
             set_value(value)
@@ -355,7 +370,8 @@ class JsbsimModel:
             set_value(value)
         self.fdm.run_ic()
         if self._watched:
-            self.placing = Placing((roll, pitch, angles[2]), before, self._look())
+            self.placing = Placing((roll, pitch, angles[2]), recent, self._look())
+            self._recent.clear()
 
 
 def find_traits(model: JsbsimModel) -> Traits:

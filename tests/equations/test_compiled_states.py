@@ -3,12 +3,16 @@
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
+from compiled_elements import ALL, make, unequal
 
-from testbed.vehicle.compiled import CompiledAircraft
+from testbed.vehicle.compiled import CompiledAircraft, limits
 from testbed.vehicle.compiled.proof import Comparison, compare
+from testbed.vehicle.compiled.rows import write_air
 from testbed.vehicle.environment import INTEGRATORS, JSBSIM_DEFAULT_INTEGRATORS
 from testbed.vehicle.jsbsim_adapter import load
+from testbed.vehicle.jsbsim_io import AIR_PROPERTIES, BATTERY_PROPERTIES
 
 AIRCRAFT = Path(__file__).parents[2] / "aircraft"
 STATES = int(os.environ.get("TESTBED_STATES", "50"))
@@ -40,3 +44,58 @@ def test_a_minute_with_gusts_equals_jsbsim(name):
     comparison.place(spin=True, calm=True)
     comparison.fly(60 * RATE_HZ)
     assert comparison.unequal == ""
+
+
+def test_made_up_elements_equal_jsbsim(tmp_path):
+    """They are compiled here; `test_compiled_elements` runs them one by one as Python."""
+    assert unequal(make(tmp_path, "made", ALL)) == ""
+
+
+def test_rows_run_with_inputs_like_a_fleet():
+    """The first step of a change has controls of its own; other rows keep their state."""
+    found = compiled("skywalker_x8")
+    comparison = Comparison(found, RATE_HZ)
+    comparison.place(spin=True, calm=True)
+    model, placed = comparison.model, comparison.row
+    state = np.stack([placed, placed, placed])
+    wind = np.tile([5.0, -3.0, 1.0, 0.1, -0.2, 0.05, 0.002], (3, 1))
+    controls, first = np.tile([0.1, -0.2, 0.0, 0.6], (3, 1)), np.tile([0.2, -0.3, 0.0, 0.7], (3, 1))
+    status, which = np.zeros(3, dtype=np.uint8), np.array([0, 2])
+    changed = np.ones(2, dtype=bool)
+    found.run_rows(
+        state, wind, controls, first, changed, 1.0 / RATE_HZ, 4, found.clearance, which, status
+    )
+    for node, value in zip((*model.winds, *model.turns), wind[0], strict=True):
+        node.set_double_value(value)
+    for tick in range(4):
+        for node, value in zip(model.controls, (controls if tick else first)[0], strict=True):
+            node.set_double_value(value)
+        model.fdm.run()
+    comparison.row = state[0]
+    comparison.check("4 steps after a change")
+    assert comparison.unequal == ""
+    assert (state[2] == state[0]).all()
+    assert (state[1] == placed).all()
+    air = np.zeros((3, 5))
+    write_air(state, which, found.air_columns, air)
+    names = (*AIR_PROPERTIES, *BATTERY_PROPERTIES)
+    assert air[0].tolist() == [model.node(each).get_double_value() for each in names]
+
+
+def test_rows_end_where_the_model_ends():
+    found = compiled("rascal110")
+    comparison = Comparison(found, RATE_HZ)
+    comparison.place(spin=True, calm=True)
+    state = np.tile(comparison.row, (4, 1))
+    state[1, found.columns["ic/terrain-elevation-ft"]] = 1e5
+    state[2, [found.columns[f"position/eci-{axis}-ft"] for axis in "xyz"]] *= 1.002
+    wind, status = np.zeros((4, 7)), np.zeros(4, dtype=np.uint8)
+    wind[3, 0] = np.nan
+    args = state, wind, np.zeros((4, 4)), np.zeros((4, 4)), np.array([True, False])
+    for _ in range(2):
+        before = state.copy()
+        found.run_rows(*args, 1.0 / RATE_HZ, 4, found.clearance, np.arange(4), status)
+    expected = [limits.FLYING, limits.NEAR_GROUND, limits.ABOVE_TROPOPAUSE, limits.IMPLAUSIBLE]
+    assert status.tolist() == expected
+    assert (state[0] != before[0]).any()
+    assert np.array_equal(state[1:], before[1:], equal_nan=True)

@@ -29,7 +29,9 @@ JSBSim loads, trims and places the aircraft:
     clearance  ft above the terrain, `aircraft.clearance`
     which      (K,) of the M rows, intp
     status     (M,) uint8, `limits`: 0 flying. A row that leaves what the model describes gets its
-               code at the end of that step, and is not advanced any more.
+               code at the end of that step, and is not advanced any more. JSBSim itself goes on,
+               with the ground's forces, in the layers above, or with numbers beyond all measure
+               that end as NaN; a flight loses such an aircraft at its next tick.
 
 `rows.write_motion(state, which, numbers)` and
 `rows.write_air(state, which, aircraft.air_columns, numbers)` are entries that write what

@@ -12,6 +12,7 @@ _FORCES: dict[tuple[str, ...], str] = {
     ("AXIAL", "SIDE", "NORMAL"): "(-{0}, {1}, -{2})",
     ("X", "Y", "Z"): "({0}, {1}, {2})",
 }
+_LIFT, _LIFT_SQUARED = "forces/fwz-aero-lbs", "aero/cl-squared"
 _MOMENTS = ("ROLL", "PITCH", "YAW")
 _SIZES = {"aero/bi2vel": "metrics/bw-ft", "aero/ci2vel": "metrics/cbarw-ft"}
 
@@ -23,6 +24,11 @@ def aerodynamics(root: XmlNode, source: StepSource) -> None:
     the frame before.
     """
     aero = root.child("aerodynamics")
+    area = source.read("metrics/Sw-sqft", aero)
+    uses_lift = reads_lift_squared(root)
+    if uses_lift:  # with the lift of the frame before
+        square, ratio = source.carry(_LIFT_SQUARED), f"{source.carry(_LIFT)} / ({area} * qbar)"
+        source.emit(f"{square} = ({ratio}) * ({ratio}) if qbar > 1.0 else {square}")
     for function in aero.all("function"):
         if function.attributes.get("type", "pre") != "pre":
             function.fail(f"has the type {function.attributes['type']}")
@@ -31,7 +37,6 @@ def aerodynamics(root: XmlNode, source: StepSource) -> None:
     for name, size in _SIZES.items():
         span, scale = source.read(size, aero), source.carry(name)
         source.emit(f"{scale} = {span} / (2.0 * vt) if vt + vt != 0.0 else {scale}")
-    area = source.read("metrics/Sw-sqft", aero)
     source.provide("aero/qbar-area", f"{area} * qbar")
     forces = _force_axes(aero)
     sums = {axis: _axis(aero, axis, source) for axis in (*forces, *_MOMENTS)}
@@ -44,6 +49,14 @@ lever = arm(cg, ({point}))
 moment_aero = add(({sums["ROLL"]}, {sums["PITCH"]}, {sums["YAW"]}), cross(lever, force_aero))
 """
     )
+    if uses_lift:
+        in_wind = "rotate_back(wind_axes(alpha, beta), force_aero)"
+        source.emit(f"{source.variable(_LIFT)} = -{in_wind}[2]")
+
+
+def reads_lift_squared(root: XmlNode) -> bool:
+    """Return whether a file of the aircraft reads the square of the lift coefficient."""
+    return any(each.word.removeprefix("-") == _LIFT_SQUARED for each in root.walk())
 
 
 def _force_axes(aero: XmlNode) -> tuple[str, ...]:

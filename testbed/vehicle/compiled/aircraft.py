@@ -12,17 +12,25 @@ import numpy as np
 from testbed.core.compile import entry_of_source
 from testbed.core.records import Array
 from testbed.vehicle.compiled.columns import COLUMN, FRAME, START, WIND
-from testbed.vehicle.compiled.elements import XmlNode, read_aircraft
+from testbed.vehicle.compiled.elements import NotTranslated, XmlNode, read_aircraft
 from testbed.vehicle.compiled.frame import attitude_rate
 from testbed.vehicle.compiled.rows import write_attitude
+from testbed.vehicle.compiled.source import Recalled
 from testbed.vehicle.compiled.translate import translate
 from testbed.vehicle.environment import INTEGRATORS, Integrators
 from testbed.vehicle.jsbsim_io import AIR_PROPERTIES, BATTERY_PROPERTIES
 from testbed.vehicle.jsbsim_model import INTEGRATOR_STEPS, NO_TIME, JsbsimModel, Placing
 
 _INCH = 1.0 / 12.0
+_FRAMES = 3  # before an initial condition, that determine the states of components
 _MARGIN = 3.0  # ft, of the height in which contact points are expected to touch the ground
-_STATE_BEFORE = next(each for each in FRAME if each.name == "uvw_dot")
+# of the frame: what the files may read before a frame writes it
+_CARRIED = [
+    column
+    for each in FRAME
+    if each.is_output or each.name in ("acceleration", "rates_dot", "uvw_dot")
+    for column in each.columns
+]
 _MASSES = [
     column for each in FRAME if each.name in ("mass", "inertia", "cg") for column in each.columns
 ]
@@ -79,7 +87,8 @@ class CompiledAircraft:
 
     def watch(self, model: JsbsimModel) -> None:
         """Let a model keep what `row_of` needs of its placements from now on."""
-        model.watch(self.columns)
+        recalled = [each.property for each in self._translation.recalled.values()]
+        model.watch([*self.columns, *recalled], _FRAMES if recalled else 0)
 
     def run_row(self, row: Array, dt: float, ticks: int) -> int:
         """Advance one row (S,) by steps of dt, s; return its status."""
@@ -109,9 +118,9 @@ class CompiledAircraft:
         return self._translation.own
 
     @property
-    def initial(self) -> dict[str, float]:
-        """Start values of columns that JSBSim has no property for."""
-        return self._translation.initial
+    def recalled(self) -> dict[str, Recalled]:
+        """Columns that JSBSim has no property for; `row_of` needs a placement with spin."""
+        return self._translation.recalled
 
 
 def _reader(model: JsbsimModel) -> Callable[[str], float | None]:
@@ -147,12 +156,12 @@ class _Placement:
         if any(placing.before[name] != placing.after[name] for name in _MASSES):
             raise RuntimeError("the mass changed when placed: place the model with spin")
         for name, index in columns.items():
-            if name in aircraft.initial:
-                row[index] = aircraft.initial[name]
-            elif (value := placing.after.get(name)) is not None:
+            if (value := placing.after.get(name)) is not None:
                 row[index] = value
+        for name, recalled in aircraft.recalled.items():
+            row[columns[name]] = self._recall(recalled)
         # the first evaluation begins with what the frame before has left
-        for name in (*_STATE_BEFORE.columns, *aircraft.own):
+        for name in (*_CARRIED, *aircraft.own):
             if (value := placing.before.get(name)) is not None:
                 row[columns[name]] = value
         write_attitude(row.reshape(1, -1), 0, _quaternion(*placing.angles))
@@ -166,6 +175,29 @@ class _Placement:
             for name in (name for old in olds for name in old):
                 row[columns[name]] = memory[columns[name]]
         return self._in_wind(row)
+
+    def _recall(self, state: Recalled) -> float:
+        """Return the state of a component before the initial condition.
+
+        Raises:
+            NotTranslated: it is unknown.
+        """
+        recent = self._placing.recent
+        if state.frames >= len(recent):
+            raise NotTranslated(
+                f"{self._aircraft.folder.name}: placed without spin, so the state of "
+                f"{state.property} is unknown; the aircraft is flown by JSBSim"
+            )
+        value = recent[state.frames][state.property]
+        change = 0.0
+        if state.step < math.inf:
+            change = value - recent[state.frames + 1][state.property]
+        if not (state.low < value < state.high and abs(change) < state.step):
+            raise NotTranslated(
+                f"{self._aircraft.folder.name}: {state.property} is placed at a limit, so its "
+                "state is unknown; the aircraft is flown by JSBSim"
+            )
+        return state.sign * value
 
     def _evaluate(self, row: Array) -> None:
         self._aircraft.run_row(row, 0.0, 1)

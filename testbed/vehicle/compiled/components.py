@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from itertools import pairwise
 
 from testbed.vehicle.compiled.elements import XmlNode
 from testbed.vehicle.compiled.functions import expression, table
 from testbed.vehicle.compiled.source import StepSource, literal
+
+LOADING_DT = 1.0 / 120.0  # s, of JSBSim while it loads an aircraft
 
 
 def component_name(node: XmlNode) -> str:
@@ -45,7 +49,7 @@ def _clip(node: XmlNode, value: str, source: StepSource) -> str:
     kind = limits.attributes.get("type", "")
     if kind == "cyclic":
         span = source.assign(f"{high} - {low}")
-        turned = source.assign(f"fmod({value} - {low}, {span}) + {low}")
+        turned = source.assign(f"np.fmod({value} - {low}, {span}) + {low}")
         return source.assign(f"{turned} + {span} if {turned} < {low} else {turned}")
     if kind:
         limits.fail(f"has the type {kind}")
@@ -171,6 +175,213 @@ def _condition(test: XmlNode, source: StepSource) -> str:
     return f"({f' {logic} '.join(parts)})" if parts else test.fail("is empty")
 
 
+def _filter(node: XmlNode, source: StepSource) -> str:
+    """Return the output of a linear filter, of Tustin's transform of its transfer function.
+
+    JSBSim's filters keep the step that it has when it loads an aircraft, whatever the step flown.
+    """
+    if node.find("trigger"):
+        node.fail("has a trigger")
+    numerator, denominator = _TRANSFER[node.tag](node)
+    scale = denominator[0]
+    inputs = node.all("input")
+    if len(inputs) != 1:
+        node.fail(f"has {len(inputs)} inputs")
+    owner, limits = component_name(node), node.find("clipto")
+    low, high = -math.inf, math.inf
+    if limits is not None:
+        low, high = limits.child("min").number, limits.child("max").number
+    order = len(denominator) - 1
+    past_inputs = [
+        source.recall_input(owner, inputs[0].word, inputs[0], age) for age in range(1, order + 1)
+    ]
+    past_outputs = [source.recall_output(owner, age, low, high) for age in range(1, order + 1)]
+    value = source.assign(source.read(inputs[0].word, inputs[0]))
+    a, b = ([literal(each / scale) for each in part] for part in (numerator, denominator))
+    found = source.assign(_FILTERS[node.tag](a, b, value, past_inputs, past_outputs))
+    for newest, past in ((value, past_inputs), (found, past_outputs)):
+        for newer, old in reversed(list(zip((newest, *past), past, strict=False))):
+            source.emit(f"{old} = {newer}")
+    return found
+
+
+def _coefficients(node: XmlNode, *names: str) -> list[float]:
+    return [node.value(each) for each in names]
+
+
+def _lag_transfer(node: XmlNode) -> tuple[list[float], list[float]]:
+    """C1 / (s + C1)."""
+    return _lag_of(node.value("c1"))
+
+
+def _lag_of(c1: float) -> tuple[list[float], list[float]]:
+    return [LOADING_DT * c1], [2.0 + LOADING_DT * c1, 2.0 - LOADING_DT * c1]
+
+
+def _lead_lag_transfer(node: XmlNode) -> tuple[list[float], list[float]]:
+    """(C1 s + C2) / (C3 s + C4)."""
+    c1, c2, c3, c4 = _coefficients(node, "c1", "c2", "c3", "c4")
+    dt = LOADING_DT
+    return (
+        [2.0 * c1 + dt * c2, dt * c2 - 2.0 * c1],
+        [2.0 * c3 + dt * c4, 2.0 * c3 - dt * c4],
+    )
+
+
+def _second_order_transfer(node: XmlNode) -> tuple[list[float], list[float]]:
+    """(C1 s² + C2 s + C3) / (C4 s² + C5 s + C6)."""
+    c1, c2, c3, c4, c5, c6 = _coefficients(node, "c1", "c2", "c3", "c4", "c5", "c6")
+    dt = LOADING_DT
+    return (
+        [
+            4.0 * c1 + 2.0 * c2 * dt + c3 * dt * dt,
+            2.0 * c3 * dt * dt - 8.0 * c1,
+            4.0 * c1 - 2.0 * c2 * dt + c3 * dt * dt,
+        ],
+        [
+            4.0 * c4 + 2.0 * c5 * dt + c6 * dt * dt,
+            2.0 * c6 * dt * dt - 8.0 * c4,
+            4.0 * c4 - 2.0 * c5 * dt + c6 * dt * dt,
+        ],
+    )
+
+
+def _washout_transfer(node: XmlNode) -> tuple[list[float], list[float]]:
+    """S / (s + C1)."""
+    (c1,) = _coefficients(node, "c1")
+    return [2.0], [2.0 + LOADING_DT * c1, 2.0 - LOADING_DT * c1]
+
+
+def _integrator_transfer(node: XmlNode) -> tuple[list[float], list[float]]:
+    """C1 / s."""
+    (c1,) = _coefficients(node, "c1")
+    return [LOADING_DT * c1 / 2.0], [1.0, 1.0]
+
+
+def _kinematic(node: XmlNode, source: StepSource) -> str:
+    """Return the position of a device that travels between settings, each in a time."""
+    settings = node.child("traverse").all("setting")
+    positions = [each.value("position") for each in settings]
+    times = [each.value("time") for each in settings]
+    if len(positions) < 2 or not all(a < b for a, b in pairwise(positions)):
+        node.fail("has positions that do not increase")
+    name, now = source.name("settings_"), source.carry(component_name(node))
+    source.helpers.append(f"{name} = np.array({positions})\n{name}_times = np.array({times})")
+    target = _input(node, source)
+    if node.find("noscale") is None:
+        target = f"{target} * {literal(positions[-1])}"
+    return f"travel({now}, {target}, {LOADING_DT!r}, {name}, {name}_times)"
+
+
+_STATES = ("lag", "rate_limit", "hysteresis_width")  # parts of an actuator with a memory
+_OTHERS = ("deadband_width", "bias")
+
+
+def _actuator(node: XmlNode, source: StepSource) -> str:
+    """Return the output of lag, rate limit, deadband, hysteresis and bias, in this order.
+
+    JSBSim does not show the memories of the parts: they are known where the output is that of the
+    part, so some combinations are not translated.
+    """
+    states = [each for each in _STATES if node.all(each)]
+    if states and ("hysteresis_width" in states[:-1] or any(node.all(each) for each in _OTHERS)):
+        node.fail("has a combination of lag, limits and bias that is not translated")
+    if states[1:] and "hysteresis_width" in states:
+        node.fail("has a hysteresis after another part")
+    owner, limits = component_name(node), node.find("clipto")
+    low, high = -math.inf, math.inf
+    if limits is not None:
+        low, high = limits.child("min").number, limits.child("max").number
+    value = source.assign(_input(node, source))
+    rates = {each.attributes.get("sense", ""): each.number for each in node.all("rate_limit")}
+    slowest = min(rates.values(), default=math.inf) * LOADING_DT
+    if node.find("lag"):
+        value = _lag(node, owner, value, low, high, slowest, source)
+    if rates:
+        value = _rate_limit(node, rates, owner, value, low, high, source)
+    if width := node.find("deadband_width"):
+        half = f"{_number_or_property(width, source)} / 2.0"
+        value = source.assign(
+            f"{value} + {half} if {value} < -({half}) else "
+            f"({value} - {half} if {value} > {half} else 0.0)"
+        )
+    if node.find("hysteresis_width"):
+        half_width = literal(0.5 * node.value("hysteresis_width"))
+        last = source.recall_limited(owner, "hysteresis", low, high, math.inf)
+        source.emit(
+            f"{last} = max({last}, {value} - {half_width}) if {value} > {last} else "
+            f"min({last}, {value} + {half_width})"
+        )
+        value = last
+    if bias := node.find("bias"):
+        value = source.assign(f"{value} + {_number_or_property(bias, source)}")
+    return value
+
+
+def _lag(
+    node: XmlNode,
+    owner: str,
+    value: str,
+    low: float,
+    high: float,
+    step: float,
+    source: StepSource,
+) -> str:
+    numerator, (scale, decay) = _lag_of(node.value("lag"))
+    inputs = node.all("input")
+    past = source.recall_input(owner, inputs[0].word, inputs[0], 1)
+    last = source.recall_limited(owner, "lag", low, high, step)
+    a, b = literal(numerator[0] / scale), literal(decay / scale)
+    source.emit(f"{last} = {a} * ({value} + {past}) + {last} * {b}")
+    source.emit(f"{past} = {value}")
+    return last
+
+
+def _rate_limit(
+    node: XmlNode,
+    rates: dict[str, float],
+    owner: str,
+    value: str,
+    low: float,
+    high: float,
+    source: StepSource,
+) -> str:
+    last = source.recall_limited(owner, "rate-limit", low, high, math.inf)
+    up, down = (rates.get(sense, rates.get("")) for sense in ("incr", "decr"))
+    if len(rates) > 1 and "" in rates:
+        node.fail("has a rate limit with and one without a sense")
+    limited = value
+    if down is not None:
+        most = literal(down * LOADING_DT)
+        limited = f"({last} - {most} if {value} - {last} < -{most} else {limited})"
+    if up is not None:
+        most = literal(up * LOADING_DT)
+        limited = f"({last} + {most} if {value} - {last} > {most} else {limited})"
+    source.emit(f"{last} = {limited}")
+    return last
+
+
+# The transfer function of each filter, and its output; the order of the terms is that of JSBSim.
+_TRANSFER: dict[str, Callable[[XmlNode], tuple[list[float], list[float]]]] = {
+    "lag_filter": _lag_transfer,
+    "lead_lag_filter": _lead_lag_transfer,
+    "second_order_filter": _second_order_transfer,
+    "washout_filter": _washout_transfer,
+    "integrator": _integrator_transfer,
+}
+_FILTERS: dict[str, Callable[[list[str], list[str], str, list[str], list[str]], str]] = {
+    "lag_filter": lambda a, b, u, us, ys: f"({u} + {us[0]}) * {a[0]} + {ys[0]} * {b[1]}",
+    "lead_lag_filter": lambda a, b, u, us, ys: (
+        f"{u} * {a[0]} + {us[0]} * {a[1]} + {ys[0]} * {b[1]}"
+    ),
+    "second_order_filter": lambda a, b, u, us, ys: (
+        f"{u} * {a[0]} + {us[0]} * {a[1]} + {us[1]} * {a[2]} - {ys[0]} * {b[1]} - {ys[1]} * {b[2]}"
+    ),
+    "washout_filter": lambda a, b, u, us, ys: f"{u} * {a[0]} - {us[0]} * {a[0]} + {ys[0]} * {b[1]}",
+    "integrator": lambda a, b, u, us, ys: f"{u} * {a[0]} + {us[0]} * {a[0]} + {ys[0]}",
+}
+
+
 _COMPONENTS: dict[str, Callable[[XmlNode, StepSource], str]] = {
     "fcs_function": _function,
     "summer": _summer,
@@ -179,4 +390,7 @@ _COMPONENTS: dict[str, Callable[[XmlNode, StepSource], str]] = {
     "deadband": _deadband,
     "aerosurface_scale": _aerosurface_scale,
     "switch": _switch,
+    **dict.fromkeys(_TRANSFER, _filter),
+    "kinematic": _kinematic,
+    "actuator": _actuator,
 }

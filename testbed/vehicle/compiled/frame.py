@@ -378,6 +378,44 @@ def wind_axes(alpha: float, beta: float) -> Values:
     return (ca * cb, -ca * sb, -sa), (sb, cb, 0.0), (sa * cb, -sa * sb, ca)
 
 
+# Propulsion
+
+
+@kernel
+def induced_velocity(inflow: float, thrust: float, rho: float, area: float) -> float:
+    """Return the velocity that a propeller adds to the flow in its disk, ft/s, by momentum theory.
+
+    Args:
+        inflow: along the shaft, ft/s.
+        thrust: lb.
+        rho: density, slug/ft³.
+        area: of the disk, ft².
+    """
+    square = inflow * abs(inflow) + 2.0 * thrust / (rho * area)
+    if square > 0.0:
+        return 0.5 * (-inflow + sqrt(square))
+    return 0.5 * (-inflow - sqrt(-square))
+
+
+@kernel
+def shift_thrust(point: Vector, flow_at: Vector, through: float, factor: float) -> Values:
+    """Return where the thrust acts of a propeller in oblique flow, inches, structural frame.
+
+    It moves across the flow, by a factor times the angle between shaft and flow.
+
+    Args:
+        point: of the propeller.
+        flow_at: velocity of the propeller through the air, in B, ft/s.
+        through: velocity of the flow along the shaft in the disk, ft/s.
+        factor: inches per rad, with the sign of the turn.
+    """
+    across = sqrt(flow_at[1] * flow_at[1] + flow_at[2] * flow_at[2])
+    if not across > 0.0001:
+        return point[0], point[1], point[2]
+    by = factor * atan2(across, through) / across
+    return point[0], point[1] + by * flow_at[2], point[2] + by * flow_at[1]
+
+
 # MassBalance
 
 

@@ -12,12 +12,14 @@ from testbed.vehicle.compiled.source import StepSource, literal
 _INFIX = {"sum": "+", "product": "*", "difference": "-"}
 _COMPARE = {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "nq": "!="}
 _MATH = {
-    **{each: each for each in "sqrt exp sin cos tan asin acos atan floor ceil".split()},
-    "integer": "trunc",
+    **{each: each for each in "sqrt exp sin cos tan asin acos atan".split()},
+    "integer": "whole",
+    "floor": "np.floor",  # a whole number; of the module math, an integer of limited size
+    "ceil": "np.ceil",
     "ln": "log",
     "log10": "log10",
 }
-_PAIRS = {"pow": "pow", "atan2": "atan2", "fmod": "fmod"}
+_PAIRS = {"pow": "pow", "atan2": "atan2", "fmod": "np.fmod"}
 _LOG10_2 = math.log10(2.0)
 
 
@@ -120,7 +122,7 @@ def _sign(node: XmlNode, values: Sequence[str], _: StepSource) -> str:
 def _fraction(node: XmlNode, values: Sequence[str], source: StepSource) -> str:
     _expect(node, 1)
     value = source.assign(values[0])
-    return f"({value} - trunc({value}))"
+    return f"({value} - whole({value}))"
 
 
 def _average(_: XmlNode, values: Sequence[str], __: StepSource) -> str:
@@ -130,18 +132,41 @@ def _average(_: XmlNode, values: Sequence[str], __: StepSource) -> str:
 def _modulo(node: XmlNode, values: Sequence[str], _: StepSource) -> str:
     """Return the remainder of the whole parts, with the sign of the first."""
     _expect(node, 2)
-    return f"fmod(trunc({values[0]}), trunc({values[1]}))"
+    return f"np.fmod(whole({values[0]}), whole({values[1]}))"
 
 
 def _round(node: XmlNode, values: Sequence[str], source: StepSource) -> str:
     """Return the nearest multiple of the second number, or of 1, halves away from zero."""
     if len(values) == 1:
         value = source.assign(values[0])
-        return f"copysign(floor(abs({value}) + 0.5), {value})"
+        return f"copysign(np.floor(abs({value}) + 0.5), {value})"
     _expect(node, 2)
     divisor = source.assign(values[1])
     value = source.assign(f"{values[0]} / {divisor}")
-    return f"(copysign(floor(abs({value}) + 0.5), {value}) * {divisor})"
+    return f"(copysign(np.floor(abs({value}) + 0.5), {value}) * {divisor})"
+
+
+def _switch(node: XmlNode, values: Sequence[str], source: StepSource) -> str:
+    """Return the value whose number, from 0, is nearest to the first; NaN: there is none."""
+    if len(values) < 2:
+        node.fail("has no values")
+    number = source.assign(f"np.floor({values[0]} + 0.5)")
+    chosen = "nan"
+    for k, value in reversed(list(enumerate(values[1:]))):
+        chosen = f"({value} if {number} == {literal(float(k))} else {chosen})"
+    return chosen
+
+
+def _interpolate(node: XmlNode, values: Sequence[str], source: StepSource) -> str:
+    """Interpolate between pairs of a breakpoint and its value, beyond which the value is held."""
+    if len(values) < 5 or len(values) % 2 == 0:
+        node.fail("has not two pairs or more after its variable")
+    x, *pairs = (source.assign(value) for value in values)
+    points = list(zip(pairs[::2], pairs[1::2], strict=True))
+    found = points[-1][1]
+    for (x0, y0), (x1, y1) in reversed(list(pairwise(points))):
+        found = f"({y0} + ({x} - {x0}) * ({y1} - {y0}) / ({x1} - {x0}) if {x} <= {x1} else {found})"
+    return f"({points[0][1]} if {x} <= {points[0][0]} else {found})"
 
 
 _OTHERS: dict[str, Callable[[XmlNode, Sequence[str], StepSource], str]] = {
@@ -149,6 +174,8 @@ _OTHERS: dict[str, Callable[[XmlNode, Sequence[str], StepSource], str]] = {
     "abs": _absolute,
     "toradians": _to_radians,
     "todegrees": _to_degrees,
+    "switch": _switch,
+    "interpolate1d": _interpolate,
     "log2": _log2,
     "not": _not,
     "sign": _sign,
@@ -199,12 +226,11 @@ def _table_3(data: Sequence[XmlNode], values: Sequence[str], source: StepSource)
         data[0].fail("has breakpoints that do not increase")
     grids = [_grid(each, source) for each in data]
     found = source.name()
+    last = len(points) - 2
     for k, (low, high) in enumerate(pairwise(points)):
-        is_last = k == len(points) - 2
-        heads = ([f"if {third} <= {literal(high)}:"] if k == 0 else []) or (
-            ["else:"] if is_last else [f"elif {third} <= {literal(high)}:"]
-        )
-        with source.block("if True:" if k == 0 and is_last else heads[0]):
+        # the first breakpoint above, or the last interval
+        test = f"{third} <= {literal(high)}" if k < last else "True"
+        with source.block(f"{'elif' if k else 'if'} {test}:"):
             share = source.assign(f"max(({third} - {literal(low)}) / {literal(high - low)}, 0.0)")
             first, other = (
                 source.assign(f"table_2({row}, {column}, {grids[n]})") for n in (k, k + 1)

@@ -23,6 +23,7 @@ from testbed.core.random import named_stream
 from testbed.core.records import Array, NedOrigin
 from testbed.vehicle.compiled.aircraft import CompiledAircraft
 from testbed.vehicle.compiled.columns import AIR_INPUTS, CONTROLS, WIND
+from testbed.vehicle.compiled.elements import NotTranslated
 from testbed.vehicle.compiled.rows import write_motion
 from testbed.vehicle.environment import INTEGRATORS, Integrators
 from testbed.vehicle.jsbsim_adapter import VERSION, folder_digest, load
@@ -33,6 +34,7 @@ from testbed.vehicle.trim import Controls, Placement
 STATES, STEPS = 50, 3  # random states, and steps from each
 FLIGHT_STEPS, HOLD = 200, 4  # a flight with random controls and wind, each held for some steps
 _SPUN = 10  # in one state of so many, propeller and surfaces settle first
+_ATTEMPTS = 20  # to find a state in which no component is at a limit
 _SEED = 20260101
 
 
@@ -136,8 +138,24 @@ class Comparison:
         self.compared, self.unequal = 0, ""
 
     def place(self, *, spin: bool, calm: bool = False) -> None:
-        """Place both in a random state of flight anywhere on the Earth."""
+        """Place both in a random state of flight anywhere on the Earth.
+
+        Raises:
+            NotTranslated: no state of the aircraft's components is known.
+        """
+        for attempt in range(_ATTEMPTS):
+            self._place(spin=spin, calm=calm)
+            try:
+                self.row = self._aircraft.row_of(self.model)
+                break
+            except NotTranslated:  # a component is at a limit
+                if attempt == _ATTEMPTS - 1:
+                    raise
+        self.check("placed")
+
+    def _place(self, *, spin: bool, calm: bool) -> None:
         random, model = self._random, self.model
+        spin |= bool(self._aircraft.recalled)
         origin = NedOrigin(
             float(random.uniform(-80.0, 80.0)), float(random.uniform(-180.0, 180.0)), 100.0
         )
@@ -162,8 +180,6 @@ class Comparison:
             spin=spin,
         )
         model.fly()
-        self.row = self._aircraft.row_of(model)
-        self.check("placed")
 
     def blow(self) -> None:
         """Set a random wind in both."""

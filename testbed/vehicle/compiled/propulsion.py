@@ -13,6 +13,14 @@ _DEFAULT_WATTS = 745.7
 _NEWTON_METRES = 1.3558  # of a foot-pound, as JSBSim's motors have it
 
 
+# Properties of an engine that files may read, beside its speed.
+ENGINE_OUTPUTS = {
+    "thrust-lbs": "thrust",
+    "advance-ratio": "advance",
+    "thrust-coefficient": "ct",
+}
+
+
 def engine_property(number: int, name: str) -> str:
     """Return a property of an engine, counted from 0."""
     return f"propulsion/engine{f'[{number}]' if number else ''}/{name}"
@@ -53,6 +61,8 @@ def _engine(engine: XmlNode, number: int, source: StepSource) -> None:
     else:
         motor.fail("is not translated")
     _propeller(thruster, propeller, rpm, source)
+    for name, value in ENGINE_OUTPUTS.items():
+        source.provide(engine_property(number, name), value)
 
 
 def _brushless(motor: XmlNode, rpm: str, throttle: str, source: StepSource) -> None:
@@ -92,6 +102,16 @@ def _propeller(thruster: XmlNode, propeller: XmlNode, rpm: str, source: StepSour
     ct, cp = (propeller.value(each, default=1.0) for each in ("ct_factor", "cp_factor"))
     d, two_pi = literal(diameter), literal(2.0 * math.pi)
     sense_text, ixx_text = literal(sense), literal(ixx)
+    shift = ""
+    if (factor := thruster.value("p_factor", default=0.0)) > 0.0001:
+        area = literal(0.25 * diameter * diameter * math.pi)
+        point = f"({literal(x)}, {literal(y)}, {literal(z)})"
+        shift = (
+            f"across = add(uvw_aero, cross(pqr, lever))\n"
+            f"through = inflow + induced_velocity(inflow, thrust, rho, {area})\n"
+            f"point = shift_thrust({point}, across, through, {literal(sense * factor)})\n"
+            "lever = arm(cg, point)"
+        )
     source.emit(
         f"""
 lever = arm(cg, ({literal(x)}, {literal(y)}, {literal(z)}))
@@ -110,6 +130,7 @@ spare = spare / omega if omega > 0.01 else spare
 {rpm} = (rps + ((spare / {ixx_text}) / {two_pi}) * dt) * 60.0
 if {rpm} < 0.0:
     {rpm} = 0.0
+{shift}
 force = add(force, (thrust, 0.0, 0.0))
 gyroscopic = (0.0, rates[2] * spin, -(rates[1] * spin))
 moment_propeller = add(add(gyroscopic, (torque, 0.0, 0.0)), cross(lever, (thrust, 0.0, 0.0)))

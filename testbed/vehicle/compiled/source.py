@@ -24,6 +24,17 @@ _POSITION = re.compile(rf"fcs/({'|'.join(SURFACES)})-pos-(rad|deg)")
 _WRITABLE = ("fcs", "aero", "systems")  # groups of JSBSim's that aircraft write
 
 
+class Recalled(NamedTuple):
+    """A state of a component that JSBSim does not show: a property, some frames ago."""
+
+    property: str
+    sign: float
+    frames: int
+    low: float  # at or beyond these limits the state is unknown
+    high: float
+    step: float = math.inf  # as after a change by this much or more from the frame before
+
+
 class _Line(NamedTuple):
     text: str
     provides: str = ""  # the property of the frame that the line is for, if only for it
@@ -46,7 +57,7 @@ class StepSource:
 
     Attributes:
         helpers: functions that the step calls.
-        initial: start values of the aircraft's own columns that JSBSim has no property for.
+        recalled: the aircraft's own columns that JSBSim has no property for.
     """
 
     def __init__(self, constant: Callable[[str], float | None]) -> None:
@@ -67,7 +78,7 @@ class StepSource:
         self._explicit: set[str] = set()  # that the files write themselves
         self._count = 0
         self.helpers: list[str] = []
-        self.initial: dict[str, float] = {}
+        self.recalled: dict[str, Recalled] = {}
 
     # properties
 
@@ -140,15 +151,48 @@ class StepSource:
             self.provide(f"fcs/mag-{surface}-pos-rad", f"abs({now} * {math.pi / 180.0!r})")
 
     def carry(self, name: str) -> str:
-        """Return the variable of a property of the frame that is state."""
-        self.declare_frame(name)
+        """Return the variable of a property that is state."""
+        self._declared.add(name)
         self._loaded[name] = self._written[name] = None
         return self.variable(name)
 
-    def remember(self, name: str, initial: float) -> str:
-        """Return the variable of a state that is not a property of JSBSim's."""
-        self.initial[name] = initial
-        return self.carry(name)
+    def recall_input(self, owner: str, text: str, node: XmlNode, frames: int) -> str:
+        """Return the variable of an input of a component, some frames ago.
+
+        Args:
+            owner: property of the component.
+            text: property of the input, maybe with a sign.
+            node: the input.
+            frames: 1 or more.
+        """
+        self.read(text, node)
+        sign, name = (-1.0, text.strip()[1:]) if text.strip().startswith("-") else (1.0, text)
+        name = plain(name.strip())
+        # what is written after the component was read one frame later
+        ago = frames if name not in self._written else frames - 1
+        column = f"memory/{owner}/input-{frames}"
+        self.recalled[column] = Recalled(name, sign, ago, -math.inf, math.inf)
+        return self.carry(column)
+
+    def recall_output(self, owner: str, frames: int, low: float, high: float) -> str:
+        """Return the variable of an output of a component before its limits, some frames ago."""
+        column = f"memory/{owner}/output-{frames}"
+        self.recalled[column] = Recalled(owner, 1.0, frames - 1, low, high)
+        return self.carry(column)
+
+    def recall_limited(self, owner: str, part: str, low: float, high: float, step: float) -> str:
+        """Return the variable of a part of a component that is its output where it is not limited.
+
+        Args:
+            owner: property of the component.
+            part: of the component.
+            low: limit of the output.
+            high: limit of the output.
+            step: largest change of the output in a frame.
+        """
+        column = f"memory/{owner}/{part}"
+        self.recalled[column] = Recalled(owner, 1.0, 0, low, high, step)
+        return self.carry(column)
 
     # lines
 

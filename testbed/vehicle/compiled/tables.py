@@ -1,9 +1,18 @@
-"""Tables of two variables."""
+"""Functions of JSBSim's <function> elements that `math` does not have."""
 
 from __future__ import annotations
 
+import numpy as np
+
 from testbed.core.compile import kernel
 from testbed.core.records import Array
+
+
+@kernel
+def whole(x: float) -> float:
+    """Return a number without its fraction."""
+    found: float = x - np.fmod(x, 1.0)
+    return found
 
 
 @kernel

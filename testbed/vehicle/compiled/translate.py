@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from testbed.vehicle.compiled.aerodynamics import aerodynamics
+from testbed.vehicle.compiled.aerodynamics import aerodynamics, reads_lift_squared
 from testbed.vehicle.compiled.columns import (
     AIR_INPUTS,
     COLUMN,
@@ -25,8 +25,13 @@ from testbed.vehicle.compiled.columns import (
 )
 from testbed.vehicle.compiled.components import component, outputs
 from testbed.vehicle.compiled.elements import XmlNode, read_aircraft
-from testbed.vehicle.compiled.propulsion import engine_property, propulsion, throttle_property
-from testbed.vehicle.compiled.source import SURFACES, StepSource
+from testbed.vehicle.compiled.propulsion import (
+    ENGINE_OUTPUTS,
+    engine_property,
+    propulsion,
+    throttle_property,
+)
+from testbed.vehicle.compiled.source import SURFACES, Recalled, StepSource
 from testbed.vehicle.environment import (
     ADAMS_BASHFORTH_2,
     ADAMS_BASHFORTH_3,
@@ -174,8 +179,9 @@ import numpy as np
 
 from testbed.core.compile import kernel
 from testbed.vehicle.compiled.frame import *
+from testbed.vehicle.compiled.kinematic import travel
 from testbed.vehicle.compiled.limits import *
-from testbed.vehicle.compiled.tables import table_2
+from testbed.vehicle.compiled.tables import table_2, whole
 '''
 
 
@@ -190,7 +196,7 @@ class Translation:
         memories: names of the columns of older derivatives, the newest first, by the name of the
             derivative's variable.
         own: columns of the aircraft's own properties.
-        initial: values of columns that JSBSim has no property for.
+        recalled: columns that JSBSim has no property for.
     """
 
     function: str
@@ -198,7 +204,7 @@ class Translation:
     columns: dict[str, int]
     memories: dict[str, tuple[tuple[str, ...], ...]]
     own: tuple[str, ...]
-    initial: dict[str, float]
+    recalled: dict[str, Recalled]
 
 
 def translate(
@@ -252,9 +258,12 @@ class _Translator:
         source.declare_frame(*_AFTER_AUXILIARY, *_AFTER_ACCELERATIONS)
         source.declare_frame("aero/bi2vel", "aero/ci2vel", "aero/qbar-area")
         source.declare(*_HELD)
+        if reads_lift_squared(root):
+            source.declare_frame("aero/cl-squared")
         parts = root.find("propulsion")
         for number, _ in enumerate(parts.all("engine") if parts else []):
-            source.declare_frame(engine_property(number, "propeller-rpm"))
+            outputs_of = ("propeller-rpm", *ENGINE_OUTPUTS)
+            source.declare_frame(*(engine_property(number, each) for each in outputs_of))
             source.declare(throttle_property(number))
         for system in self._ordered_systems():
             for node in system.all("property"):
@@ -349,7 +358,7 @@ class _Translator:
             columns,
             self._memories,
             tuple(own),
-            source.initial,
+            source.recalled,
         )
 
     def _memory(self) -> list[RowQuantity]:
