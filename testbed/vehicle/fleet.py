@@ -205,7 +205,7 @@ class FlightModels:
 
     def describe_engine(self) -> str:
         """Describe what steps the flight models, and why, in a line."""
-        return f"{self.engine}{f': {self.engine_reason}' if self.engine_reason else ''}"
+        return f"{self.engine} ({self.engine_reason})" if self.engine_reason else self.engine
 
     def bind(self, aircraft: Records, rows: Indices) -> None:
         """Read and write these rows (N,) of AIRCRAFT from now on; they begin in trim."""

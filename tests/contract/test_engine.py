@@ -118,7 +118,7 @@ def test_compiled_engine_is_refused_for_it(kite):
 
 
 def test_validate_names_engine_and_reason(kite, tmp_path):
-    for of, engine in (("rascal110", "compiled: rascal110 equals JSBSim"), (kite, "jsbsim: ")):
+    for of, engine in (("rascal110", "compiled (rascal110 equals JSBSim"), (kite, "jsbsim (")):
         done = call_command(
             "validate",
             "simulation-1",
