@@ -64,7 +64,7 @@ KERNEL_PACKAGES = (
 )
 _FOLDER_NAME = re.compile("kernels-[0-9a-f]{16}")
 _FILE_NAME = re.compile(
-    r"turn|compiling|ready-[0-9a-f]+|run_[0-9a-f]+\.py|proof-[0-9a-f]+\.json|.+\.nb[ci](\.tmp\..+)?"
+    r"turn|compiling|ready-[0-9a-f]+|run_[0-9a-f]+\.source|proof-[0-9a-f]+\.json|.+\.nb[ci](\.tmp\..+)?"
 )  # in it
 UNUSED_DAYS = 30  # after which machine code in a shared folder is removed
 # numpy divides by zero as IEEE does; nothing is reordered, so that runs repeat to the bit
@@ -101,7 +101,7 @@ def entry_of_source(name: str, source: str) -> Callable[..., Any]:
         source: of a module with the function; of this package's making, as it is executed.
     """
     folder = cache_folder()
-    file = Path(folder or tempfile.gettempdir()) / f"{name}.py"
+    file = Path(folder or tempfile.gettempdir()) / f"{name}.source"  # no .py: it is no module
     if folder is not None:
         with suppress(OSError):
             file.write_text(source, encoding="utf-8")

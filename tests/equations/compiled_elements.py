@@ -65,7 +65,7 @@ FUNCTIONS = {
     "or": f"<or><lt>{ALPHA}{BETA}</lt><gt>{ALPHA}{Q}</gt></or>",
     "not": f"<not><lt>{ALPHA}{BETA}</lt></not>",
     "ifthen": f"<ifthen><lt>{ALPHA}{BETA}</lt><sin>{ALPHA}</sin><cos>{BETA}</cos></ifthen>",
-    "switch": f"<switch><abs>{TENFOLD}</abs>{''.join(map(value, range(20)))}</switch>",
+    "switch": f"<switch><abs>{TENFOLD}</abs>{''.join(map(value, range(40)))}</switch>",
     "interpolate1d": f"<interpolate1d>{ALPHA}{value(-0.5)}{value(1)}{value(-0.2)}{value(3)}"
     f"{value(0.1)}{Q}{value(0.7)}{value(-1)}</interpolate1d>",
     "table-2": f"<table>{ROWS}{grid(1.0)}</table>",

@@ -23,7 +23,9 @@ from testbed.vehicle.jsbsim_model import INTEGRATOR_STEPS, NO_TIME, JsbsimModel,
 
 _INCH = 1.0 / 12.0
 _FRAMES = 3  # before an initial condition, that determine the states of components
-_MARGIN = 3.0  # ft, of the height in which contact points are expected to touch the ground
+# ft, as heights along the radius differ from those above the ellipsoid, and tanks move the centre
+# of gravity
+_MARGIN = 0.2
 # of the frame: what the files may read before a frame writes it
 _CARRIED = [
     column

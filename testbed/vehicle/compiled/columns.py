@@ -8,10 +8,6 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-from testbed.core.records import Array, Vector
-
-XYZ: Final = "xyz"
-
 
 class RowQuantity(NamedTuple):
     """Consecutive columns that are one variable of the step."""
@@ -62,10 +58,3 @@ _NAMES = [column for quantity in FRAME for column in quantity.columns]
 COLUMN: Final = {name: index for index, name in enumerate(_NAMES)}
 FRAME_COLUMNS: Final = len(_NAMES)
 START: Final = {quantity.name: COLUMN[quantity.columns[0]] for quantity in FRAME}
-
-
-def vector(row: Array, name: str) -> Vector:
-    """Return a quantity of the frame as a tuple."""
-    first = START[name]
-    size = next(len(each.columns) for each in FRAME if each.name == name)
-    return tuple(float(value) for value in row[first : first + size])

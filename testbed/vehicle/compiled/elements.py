@@ -91,6 +91,14 @@ class XmlNode:
         except ValueError:
             self.fail(f"is {self.word!r} and no number")
 
+    def attribute(self, name: str, default: float) -> float:
+        """Return an attribute as a number."""
+        text = self.attributes.get(name, "").strip()
+        try:
+            return float(text) if text else default
+        except ValueError:
+            self.fail(f"has {name}={text!r}, which is no number")
+
     def value(self, tag: str, unit: str = "", default: float | None = None) -> float:
         """Return the number of a child in a unit of JSBSim."""
         child = self.find(tag)

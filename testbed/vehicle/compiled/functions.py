@@ -221,7 +221,7 @@ def table(node: XmlNode, source: StepSource) -> str:
 def _table_3(data: Sequence[XmlNode], values: Sequence[str], source: StepSource) -> str:
     """Interpolate between the tables of two variables of the nearest breakpoints."""
     row, column, third = (source.assign(value) for value in values)
-    points = [float(each.attributes.get("breakPoint", "nan")) for each in data]
+    points = [each.attribute("breakPoint", math.nan) for each in data]
     if len(points) < 2 or not all(a < b for a, b in pairwise(points)):
         data[0].fail("has breakpoints that do not increase")
     grids = [_grid(each, source) for each in data]

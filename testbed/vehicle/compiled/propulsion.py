@@ -90,7 +90,7 @@ def _propeller(thruster: XmlNode, propeller: XmlNode, rpm: str, source: StepSour
     d4 = diameter * diameter * diameter * diameter
     sense = 1.0 if thruster.value("sense", default=1.0) >= 0.0 else -1.0
     # before version 1.1 of these files the gyroscopic moment had the other sign
-    turn = -1.0 if float(propeller.attributes.get("version", "0")) > 1.0 else 1.0
+    turn = -1.0 if propeller.attribute("version", 0.0) > 1.0 else 1.0
     tables = {}
     for each in propeller.all("table"):
         name = each.attributes.get("name", "")

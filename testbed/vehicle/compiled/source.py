@@ -94,7 +94,7 @@ class StepSource:
     def variable(self, name: str) -> str:
         """Return the variable of a property."""
         if name not in self._variables:
-            base = "p_" + re.sub(r"\W", "_", name)
+            base = "p_" + re.sub(r"\W", "_", name, flags=re.ASCII)
             taken = set(self._variables.values())
             while base in taken:
                 base += "_"
