@@ -54,7 +54,16 @@ def measure(folder: Path) -> None:
             ],
             (number, 1),
         )
-        args = state, wind, controls, controls, changed, 1.0 / RATE_HZ, TICKS, aircraft.clearance
+        args = (
+            state,
+            wind,
+            controls,
+            controls,
+            changed,
+            1.0 / RATE_HZ,
+            np.array([TICKS]),
+            aircraft.clearance,
+        )
         calls = max(1, CALLS // number)
         call = Call(aircraft.run_rows, *args, np.arange(number), status)
         many = CallList([call] * calls)

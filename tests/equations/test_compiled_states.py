@@ -63,7 +63,16 @@ def test_rows_run_with_inputs_like_a_fleet():
     status, which = np.zeros(3, dtype=np.uint8), np.array([0, 2])
     changed = np.ones(2, dtype=bool)
     found.run_rows(
-        state, wind, controls, first, changed, 1.0 / RATE_HZ, 4, found.clearance, which, status
+        state,
+        wind,
+        controls,
+        first,
+        changed,
+        1.0 / RATE_HZ,
+        np.array([4]),
+        found.clearance,
+        which,
+        status,
     )
     for node, value in zip((*model.winds, *model.turns), wind[0], strict=True):
         node.set_double_value(value)
@@ -94,7 +103,7 @@ def test_rows_end_where_the_model_ends():
     args = state, wind, np.zeros((4, 4)), np.zeros((4, 4)), np.array([True, False])
     for _ in range(2):
         before = state.copy()
-        found.run_rows(*args, 1.0 / RATE_HZ, 4, found.clearance, np.arange(4), status)
+        found.run_rows(*args, 1.0 / RATE_HZ, np.array([4]), found.clearance, np.arange(4), status)
     expected = [limits.FLYING, limits.NEAR_GROUND, limits.ABOVE_TROPOPAUSE, limits.IMPLAUSIBLE]
     assert status.tolist() == expected
     assert (state[0] != before[0]).any()
