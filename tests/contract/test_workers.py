@@ -57,7 +57,7 @@ def fly(case, processes):
     name, changes = PAGES[case]
     collector = Collector()
     run = testbed.run(
-        load_scenario(name, [*SHORT, *changes]),
+        load_scenario(name, [*SHORT, "scenario.engine=jsbsim", *changes]),
         write=False,
         observers=[collector],
         processes=processes,
