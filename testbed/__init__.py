@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from testbed.flight.stages import FlightRecords, UserStage
     from testbed.logs.flight_data import FlightData, load_run
+    from testbed.runs.batch import Batch
     from testbed.runs.run import Run, run
     from testbed.runs.simulation import Simulation
     from testbed.runs.single_aircraft import Aircraft
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 __all__ = [
     "Aircraft",
+    "Batch",
     "FlightData",
     "FlightRecords",
     "Run",
@@ -35,6 +37,7 @@ __all__ = [
 
 _MODULES = {
     "Aircraft": "testbed.runs.single_aircraft",
+    "Batch": "testbed.runs.batch",
     "FlightData": "testbed.logs.flight_data",
     "FlightRecords": "testbed.flight.stages",
     "Run": "testbed.runs.run",

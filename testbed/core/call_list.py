@@ -15,7 +15,7 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.core.compile import address_of, entry, is_interpreted, register, types_of
+from testbed.core.compile import address_of, entry_beside_python, is_interpreted, register, types_of
 
 Words = NDArray[np.uint64]
 NOW: Final = object()  # the time of the tick, s; the last argument of a call
@@ -311,7 +311,7 @@ def _make_call() -> Any:  # noqa: ANN401 - numba's
 call_words = _make_call()
 
 
-@entry
+@entry_beside_python
 def _run_calls(addresses: Words, first: int, now: float, found: NDArray[np.int64]) -> int:
     """Run the calls at these addresses; see `CallList.run`."""
     for number in range(first, len(addresses)):

@@ -81,14 +81,23 @@ def kernel(function: F) -> F:
 
 def entry(function: F) -> F:
     """Compile a function that Python calls, and keep its machine code on disk where possible."""
+    return _entry(function, {})
+
+
+def entry_beside_python(function: F) -> F:
+    """Compile as `entry` does; other threads run Python meanwhile."""
+    return _entry(function, {"nogil": True})
+
+
+def _entry(function: F, options: dict[str, Any]) -> F:
     import numba
 
     config: Any = numba.config
     if config.DISABLE_JIT:
         return function
-    folder = cache_folder()
-    compiled: Any = None if folder is None else _cached(function, folder)
-    return compiled or numba.njit(**_OPTIONS)(function)  # type: ignore[no-any-return]
+    folder, options = cache_folder(), {**_OPTIONS, **options}
+    compiled: Any = None if folder is None else _cached(function, folder, options)
+    return compiled or numba.njit(**options)(function)  # type: ignore[no-any-return]
 
 
 def entry_of_source(name: str, source: str) -> Callable[..., Any]:
@@ -140,11 +149,11 @@ def is_interpreted() -> bool:
     return bool(config.DISABLE_JIT)
 
 
-def _cached(function: Callable[..., Any], folder: Path) -> Any:  # noqa: ANN401 - numba's dispatcher
+def _cached(function: Callable[..., Any], folder: Path, options: dict[str, Any]) -> Any:  # noqa: ANN401 - numba's dispatcher
     """Compile with a cache in this folder; return None where it cannot be written."""
     import numba
 
-    compiled: Any = numba.njit(**_OPTIONS)(function)
+    compiled: Any = numba.njit(**options)(function)
     return compiled if _cache_in(folder, compiled.enable_caching, compiled) else None
 
 

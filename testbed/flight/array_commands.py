@@ -9,7 +9,7 @@ import numpy as np
 from testbed.core.call_list import Call
 from testbed.core.compile import entry
 from testbed.core.copies import copy_command
-from testbed.core.records import COMMAND, BoolArray, FbwaCommand, Indices, Records, allocate
+from testbed.core.records import BoolArray, FbwaCommand, Indices, Records
 from testbed.flight.vehicles import LeaderInput, Steps
 
 
@@ -18,6 +18,7 @@ class ArrayCommands:
 
     Args:
         names: of N aircraft, the leader first.
+        commands: (N,) of COMMAND.
         trims: by row of the aircraft that take commands, the first commands.
 
     Attributes:
@@ -26,12 +27,14 @@ class ArrayCommands:
         input: see `LeaderController`.
     """
 
-    def __init__(self, names: Sequence[str], trims: Mapping[int, FbwaCommand[float]]) -> None:
+    def __init__(
+        self, names: Sequence[str], commands: Records, trims: Mapping[int, FbwaCommand[float]]
+    ) -> None:
         """Start with the first commands."""
         n = len(names)
         self._names = tuple(names)
         self.commanded: BoolArray = np.zeros(n, dtype=bool)
-        self.commands = allocate(COMMAND, n)
+        self.commands = commands
         for row, command in trims.items():
             self.commanded[row] = True
             self.commands[row] = command

@@ -9,7 +9,7 @@ from functools import partial
 from testbed.autopilot.parameters import FbwaParams
 from testbed.commands.autopilot_session import AutopilotSession
 from testbed.commands.navigator import NavigatorConfig
-from testbed.core.records import FbwaCommand
+from testbed.core.records import FbwaCommand, Records
 from testbed.flight.array_commands import ArrayCommands
 from testbed.flight.external_control import CommandSession, ExternalControl
 from testbed.flight.leader_control import LeaderController, MissionController
@@ -25,14 +25,16 @@ from testbed.vehicle.trim import InitialState, TrimResult
 _BANK_LIMIT_DEG, _CLIMB_LIMIT_MPS = 45.0, 1.5  # of a follower's circles and missions
 
 
-def build_array_commands(fleet: Fleet, jsbsim: JsbsimVehicles | None) -> ArrayCommands | None:
+def build_array_commands(
+    fleet: Fleet, jsbsim: JsbsimVehicles | None, commands: Records
+) -> ArrayCommands | None:
     """Build the commands of a program in this process; None: no aircraft takes any."""
     trims = {}
     for row, one in enumerate(fleet.aircraft):
         takes = one.takes_commands and isinstance(one.section.commanded_by, External)
         if jsbsim is not None and takes:
             trims[row] = trimmed_command(jsbsim.fleet.trims[fleet.model_rows.index(row)])
-    return ArrayCommands(fleet.names, trims) if trims else None
+    return ArrayCommands(fleet.names, commands, trims) if trims else None
 
 
 def trimmed_command(trim: TrimResult) -> FbwaCommand[float]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import platform
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from testbed.core.compile import registered, registering
 from testbed.core.random import named_stream
 from testbed.core.records import (
     AIRCRAFT,
+    COMMAND,
     FOLLOWER,
     LINK,
     Array,
@@ -75,12 +76,27 @@ from testbed.vehicle.jsbsim_adapter import VERSION as JSBSIM_VERSION
 from testbed.vehicle.trim import STILL, Vector
 
 
+class RowRecords(NamedTuple):
+    """Records of a flight that belong to its builder.
+
+    Attributes:
+        aircraft: (N,) of AIRCRAFT.
+        followers: (n,) of FOLLOWER.
+        commands: (N,) of COMMAND, of a program in this process.
+    """
+
+    aircraft: Records
+    followers: Records
+    commands: Records
+
+
 @registering()
 def build(
     scenario: Scenario,
     *,
     commanded: bool = False,
     in_process: bool = False,
+    records: RowRecords | None = None,
     arduplane: Path | None = None,
     processes: int | None = 1,
 ) -> World:
@@ -91,6 +107,7 @@ def build(
         commanded: external programs may command the aircraft, also where the scenario does not set
             so.
         in_process: aircraft that external programs command take the commands of this one.
+        records: to be used, of zeros; None: new ones.
         arduplane: the program for `autopilot: ardupilot` where the scenario names none; None: that
             of the environment.
         processes: that step JSBSim models; None: as many as are fastest on this machine.
@@ -118,7 +135,12 @@ def build(
         wind_speed=strongest_wind(scenario.air, mean_wind, height, duration_s),
     )
     starts = build_starts(fleet, leader, mean_wind)
-    aircraft, followers = _allocate_aircraft(fleet), allocate(FOLLOWER, len(names) - 1)
+    n = len(names)
+    if records is None:
+        own = allocate(AIRCRAFT, n), allocate(FOLLOWER, n - 1), allocate(COMMAND, n)
+        records = RowRecords(*own)
+    aircraft, followers, commands = records
+    write_fields(aircraft["faults"], no_faults(len(names)))
     air = _build_air(scenario, fleet, mean_wind, height, clock)
     if not air.steady:
         air.bind(aircraft)
@@ -142,7 +164,7 @@ def build(
     faults = build_faults(fleet, vehicles.fleet, on_failure.declared_after_s)
     external, array = None, None
     if in_process:
-        array = build_array_commands(fleet, jsbsim)
+        array = build_array_commands(fleet, jsbsim, commands)
     elif commanded or any(each.commanded_by.kind == "external" for each in scenario.aircraft):
         external = build_external_control(fleet, clock, leader.controller, starts, jsbsim)
     estimators = _build_estimators(scenario, faults)
@@ -233,7 +255,8 @@ def build_single(flight: SingleAircraft) -> World:
     warmer = temperature_offset(flight.air, fleet.origin.elevation_m)
     mean_wind = build_mean_wind(flight.air.wind, height_m=height, duration_s=duration_s)
     starts = build_single_start(fleet, flight, mean_wind)
-    aircraft = _allocate_aircraft(fleet)
+    aircraft = allocate(AIRCRAFT, 1)
+    write_fields(aircraft["faults"], no_faults(1))
     air = _build_air(flight, fleet, mean_wind, height, clock)
     if not air.steady:
         air.bind(aircraft)
@@ -261,7 +284,7 @@ def build_single(flight: SingleAircraft) -> World:
         lowest_m=jsbsim.fleet.lowest_m,
         fly_on=False,
         external_control=None,
-        array_commands=build_array_commands(fleet, jsbsim),
+        array_commands=build_array_commands(fleet, jsbsim, allocate(COMMAND, 1)),
         initial_events=(
             *engine_notes(jsbsim.fleet),
             *gust_input_warnings(fleet, jsbsim.fleet, steady_air=air.steady),
@@ -312,13 +335,6 @@ def _lowest_heights(fleet: Fleet, models: FlightModels | None) -> Array:
     if models is not None:
         heights[list(fleet.model_rows)] = models.lowest_m
     return heights
-
-
-def _allocate_aircraft(fleet: Fleet) -> Records:
-    """Return AIRCRAFT (N,) without faults."""
-    aircraft = allocate(AIRCRAFT, len(fleet.names))
-    write_fields(aircraft["faults"], no_faults(len(fleet.names)))
-    return aircraft
 
 
 def _build_air(

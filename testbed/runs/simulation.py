@@ -126,7 +126,7 @@ class Simulation:
                 world = build(scenario, in_process=True)
         self._end_observers()
         self.scenario = scenario
-        meter, events = MetricsObserver(published=self.scenario.published), _Events()
+        meter, events = MetricsObserver(published=self.scenario.published), EventCollector()
         self._world, self._meter, self.events = world, meter, events.all
         self.directory = self._open_directory(world)
         observers: list[Observer] = [meter, events]
@@ -171,7 +171,7 @@ class Simulation:
         due: float = (clock.ticks(self.time_s) // self._period + 1) * self._period
         if until is not None:
             if not (type(until) is float and 0.0 <= until <= MAX_DURATION_S):  # else it is right
-                until = check_argument("until", until, _StepArguments, "until")
+                until = check_argument("until", until, StepArguments, "until")
             due = max(due, clock.ticks(until))
         if commands is not None:
             for row, command in self._checked_commands(commands).items():
@@ -319,25 +319,30 @@ def _finish_log(unclosed: list[McapRecorder], process: int) -> None:
         recorder.close()
 
 
-class _StepArguments(Section):
+class StepArguments(Section):
+    """Arguments of a step."""
+
     until: Instant = Field(description="Time of the flight, s.")
 
 
-class _Events:
+class EventCollector:
     """Collect the events of a flight."""
 
     events_only = True
 
     def __init__(self) -> None:
+        """Start without events."""
         self.all: list[Event] = []
 
     def begin(self, info: RunInfo) -> None:
-        pass
+        """Do nothing."""
 
     def observe(self, sample: Sample) -> None:
+        """Keep the events of a sample."""
         self.all.extend(sample.events)
 
     def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:
+        """Keep the events after the last sample."""
         self.all.extend(events)
 
 
