@@ -46,7 +46,9 @@ def test_rows_fly_as_runs_of_their_seeds(scenario):
 def test_rows_have_overrides_and_live_records():
     rows = [["network.loss=0"], ["network.loss=1"], ["fleet.uav1.start_m=[-20, 5, 0]"]]
     batch = testbed.Batch(
-        "simulation-1", ["scenario.duration_s=20", "scenario.windows={}"], rows=rows
+        "simulation-1",
+        ["scenario.duration_s=20", "scenario.windows={}", "scenario.published=null"],
+        rows=rows,
     )
     assert batch.aircraft.shape == (3, 4) and batch.followers.shape == (3, 3)
     start = batch.aircraft["truth"]["position_ned"].copy()
@@ -58,7 +60,12 @@ def test_rows_have_overrides_and_live_records():
 
 
 def test_commands_of_rows_are_those_of_steps():
-    changes = ["fleet.uav1.commanded_by=external", "scenario.duration_s=4", "scenario.windows={}"]
+    changes = [
+        "fleet.uav1.commanded_by=external",
+        "scenario.duration_s=4",
+        "scenario.windows={}",
+        "scenario.published=null",
+    ]
     batch = testbed.Batch("simulation-1", changes, rows=[[], []])
     batch.commands[:, 1] = [(0.1, 0.2, 0.5), (0.0, -0.2, 0.4)]
     batch.step(2.0)
@@ -76,7 +83,7 @@ def test_commands_of_rows_are_those_of_steps():
         ({"seeds": [1, 2], "rows": [[]]}, "rows, seeds: "),
         ({"rows": ["a"]}, "rows[0]: "),
         ({"threads": 0}, "threads"),
-        ({"rows": [[], ["fleet.0.name=other"]]}, "rows[1]: has other aircraft"),
+        ({"rows": [[], ["leader.name=other"]]}, "rows[1]: has other aircraft"),
         ({"overrides": ["fleet.uav1.autopilot=ardupilot"]}, "uav1 has autopilot: ardupilot"),
     ],
 )
