@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.core.records import Array
-from testbed.views.batch import Batch
+from testbed.views.batch import ViewBatch
 from testbed.views.cameras import HALF_HEIGHT, CameraTrack, flying_aircraft
 from testbed.views.scene import Scene
 
@@ -50,7 +50,7 @@ class Links:
         self._lost_at = np.full(shape, -np.inf)  # s
         self._used = np.zeros(shape, dtype=bool)
 
-    def lines(self, batch: Batch, position: Array) -> LinkLines:
+    def lines(self, batch: ViewBatch, position: Array) -> LinkLines:
         """Compute the lines of a batch, which must not be empty, between positions (m, N, 3)."""
         age = batch.age
         used_now = np.isfinite(age)
@@ -73,7 +73,7 @@ class Links:
             radii=np.where((flash | stale)[sample, i, j], BROAD, THIN),
         )
 
-    def _loss_times(self, batch: Batch) -> Array:
+    def _loss_times(self, batch: ViewBatch) -> Array:
         """Time of each link's last lost message (m, n, N), s; minus infinity: none yet."""
         missing = batch.sent - batch.delivered
         lost = np.diff(missing, axis=0, prepend=self._missing[None]) > 0
@@ -152,7 +152,7 @@ class ScaleBar:
 
 def name_aircraft(
     scene: Scene,
-    batch: Batch,
+    batch: ViewBatch,
     track: CameraTrack,
     canvas: Canvas,
     size: float,
@@ -261,7 +261,7 @@ def round_down(length: float) -> float:
     return float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= length))
 
 
-def _texts(scene: Scene, batch: Batch, inside: Array) -> tuple[NDArray[np.intp], list[str]]:
+def _texts(scene: Scene, batch: ViewBatch, inside: Array) -> tuple[NDArray[np.intp], list[str]]:
     """Order the aircraft inside the picture by error, and write their labels."""
     rows = np.array(scene.followers, dtype=np.intp)
     error = np.full(len(scene.names), -1.0)
@@ -278,7 +278,7 @@ def _texts(scene: Scene, batch: Batch, inside: Array) -> tuple[NDArray[np.intp],
 
 
 def _edge_arrows(
-    scene: Scene, batch: Batch, track: CameraTrack, canvas: Canvas, rows: NDArray[np.intp]
+    scene: Scene, batch: ViewBatch, track: CameraTrack, canvas: Canvas, rows: NDArray[np.intp]
 ) -> EdgeArrows:
     """Point from the edge of the picture at aircraft outside it, the nearest first."""
     offset = batch.position[0, rows] - track.centre[0]

@@ -25,7 +25,7 @@ def _column(source: str) -> Any:  # noqa: ANN401 - a field of a dataclass
 
 
 @dataclass(frozen=True, slots=True)
-class Batch:
+class ViewBatch:
     """Columns of m consecutive samples of N aircraft and n followers."""
 
     time: Array = _column("time_s")  # (m,) s
@@ -54,13 +54,13 @@ class Batch:
         """Count the samples."""
         return len(self.time)
 
-    def rows(self, chosen: slice | NDArray[np.intp]) -> Batch:
+    def rows(self, chosen: slice | NDArray[np.intp]) -> ViewBatch:
         """Select samples, without the events."""
         return _batch({name: getattr(self, name)[chosen] for name in COLUMNS})
 
 
 COLUMNS: Mapping[str, Callable[[Sample | RunLog], Any]] = {
-    each.name: attrgetter(each.metadata["source"]) for each in fields(Batch) if each.metadata
+    each.name: attrgetter(each.metadata["source"]) for each in fields(ViewBatch) if each.metadata
 }
 LINK_COLUMNS = {"age": np.nan, "sent": 0.0, "delivered": 0.0}  # with the values of absent links
 
@@ -95,7 +95,7 @@ class Collector:
         """Add events without a sample."""
         self._events.extend(events)
 
-    def take(self) -> Batch:
+    def take(self) -> ViewBatch:
         """Return the collected samples and start again."""
         columns = (each[: self._size].copy() for each in self._columns)
         batch = _batch(dict(zip(COLUMNS, columns, strict=True)), self._events)
@@ -103,28 +103,28 @@ class Collector:
         return batch
 
 
-def batch_of(log: RunLog, events: Sequence[Event]) -> Batch:
+def batch_of(log: RunLog, events: Sequence[Event]) -> ViewBatch:
     """Make one batch of all samples of a log."""
     return _batch(
         {name: np.asarray(get(log), dtype=np.float64) for name, get in COLUMNS.items()}, events
     )
 
 
-def split(batch: Batch, size: int) -> Iterator[Batch]:
+def split(batch: ViewBatch, size: int) -> Iterator[ViewBatch]:
     """Split a batch into pieces of at most `size` samples; the events go with the last."""
     for begin in range(0, len(batch), size):
         piece = batch.rows(slice(begin, begin + size))
         yield replace(piece, events=batch.events) if begin + size >= len(batch) else piece
 
 
-def concat(first: Batch, second: Batch) -> Batch:
+def concat(first: ViewBatch, second: ViewBatch) -> ViewBatch:
     """Append the samples of one batch to another, without events."""
     return _batch(
         {name: np.concatenate([getattr(first, name), getattr(second, name)]) for name in COLUMNS}
     )
 
 
-def overlay(first: Batch, second: Batch, labels: tuple[str, str]) -> Batch:
+def overlay(first: ViewBatch, second: ViewBatch, labels: tuple[str, str]) -> ViewBatch:
     """Combine two runs at the times that both have, the aircraft of the first run first."""
     # no tolerance: times are ticks over the base rate, equal ones are equal to the bit
     found: Any = np.intersect1d(first.time, second.time, return_indices=True)
@@ -145,8 +145,8 @@ def overlay(first: Batch, second: Batch, labels: tuple[str, str]) -> Batch:
     return _batch(columns, sorted(events, key=lambda event: event.time_s))
 
 
-def _batch(columns: Mapping[str, Any], events: Sequence[Event] = ()) -> Batch:
-    return Batch(**columns, events=tuple(events))
+def _batch(columns: Mapping[str, Any], events: Sequence[Event] = ()) -> ViewBatch:
+    return ViewBatch(**columns, events=tuple(events))
 
 
 def _block_diagonal(one: Array, two: Array, absent: float) -> Array:

@@ -17,7 +17,7 @@ from scipy.signal import lfilter
 
 from testbed.core.frames import course, quaternion_xyzw
 from testbed.core.records import Array, BoolArray
-from testbed.views.batch import Batch
+from testbed.views.batch import ViewBatch
 from testbed.views.scene import Scene
 
 HALF_HEIGHT = math.tan(math.radians(55.0) / 2.0)  # of a picture at distance 1, as in Rerun's eye
@@ -138,7 +138,7 @@ class FormationCameras:
         self._filter = np.zeros((1, 3))
         self._log_distance = np.full(len(lenses), -np.inf)
 
-    def track(self, batch: Batch) -> tuple[CameraTrack, ...]:
+    def track(self, batch: ViewBatch) -> tuple[CameraTrack, ...]:
         """Compute the cameras for a batch, which must not be empty."""
         scene, count = self._scene, 1 + self._scene.camera_followers
         flying = flying_aircraft(batch)[:, :count]
@@ -163,12 +163,12 @@ class FormationCameras:
             tracks.append(CameraTrack(lens, centre, heading, np.exp(log_distance)))
         return tuple(tracks)
 
-    def _heading(self, batch: Batch, flying: BoolArray) -> Array:
+    def _heading(self, batch: ViewBatch, flying: BoolArray) -> Array:
         """Compute the course of the leader, or of the others' mean once it is lost, (m,) rad."""
         others = _mean(batch.velocity[:, : flying.shape[1]], flying)
         return course(np.where(flying[:, :1], batch.velocity[:, 0], others))
 
-    def _centre(self, batch: Batch, flying: BoolArray, points: Array, heading: Array) -> Array:
+    def _centre(self, batch: ViewBatch, flying: BoolArray, points: Array, heading: Array) -> Array:
         """Compute the smoothed middle of points (m, k, 3), (m, 3) m NED."""
         velocity = _mean(batch.velocity[:, : flying.shape[1]], flying)
         travelled = self._travelled + np.cumsum(velocity, axis=0) * self._dt
@@ -185,25 +185,25 @@ class FormationCameras:
         centre: Array = travelled + smooth
         return centre
 
-    def _last_known(self, batch: Batch) -> Array:
+    def _last_known(self, batch: ViewBatch) -> Array:
         """Return positions to look at when no aircraft flies: where they were lost."""
         count = 1 + 2 * self._scene.camera_followers
         known = np.nan_to_num(batch.position[:, :1])
         return np.broadcast_to(known, (len(batch), count, 3))
 
-    def _following(self, batch: Batch, lens: Lens, row: int) -> CameraTrack:
+    def _following(self, batch: ViewBatch, lens: Lens, row: int) -> CameraTrack:
         distance = FOLLOW_SPANS * 2.0 * self._radius
         heading = course(batch.velocity[:, row])
         return CameraTrack(lens, batch.position[:, row], heading, np.full(len(batch), distance))
 
 
-def flying_aircraft(batch: Batch) -> BoolArray:
+def flying_aircraft(batch: ViewBatch) -> BoolArray:
     """Find the aircraft that are not lost and have a position (m, N)."""
     flying: BoolArray = (batch.lost == 0.0) & np.isfinite(batch.position).all(axis=-1)
     return flying
 
 
-def leader_track(batch: Batch) -> CameraTrack:
+def leader_track(batch: ViewBatch) -> CameraTrack:
     """Return the frame at the leader that turns with its course; held where they are not finite."""
     centre = hold_finite(batch.position[:, 0])
     heading = hold_finite(course(batch.velocity[:, 0]))

@@ -23,7 +23,7 @@ from testbed.logs.recorder import Addition, McapRecorder
 from testbed.views import layout
 from testbed.views.airframes import draw_fleet, whole
 from testbed.views.annotations import BROAD, LOST, THIN, Links
-from testbed.views.batch import Batch, batch_of
+from testbed.views.batch import ViewBatch, batch_of
 from testbed.views.cameras import hold_finite, leader_track, rotate_to_heading
 from testbed.views.meshes import Mesh
 from testbed.views.panels import Colour
@@ -102,7 +102,7 @@ def write_scene_log(log: RunLog, path: Path, observers: Sequence[Observer] = ())
 class _SceneMessages:
     def __init__(self, log: RunLog) -> None:
         self._scene: Scene = scene_of(log.info)
-        self._batch: Batch = batch_of(log, ())
+        self._batch: ViewBatch = batch_of(log, ())
         self._tick = log.tick
         self._time_ns = log.time_ns
         self._track = leader_track(self._batch)  # the frame of the formation

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from testbed.views.annotations import round_down
-from testbed.views.batch import Batch
+from testbed.views.batch import ViewBatch
 from testbed.views.cameras import ABOVE, BEHIND, MIN_SPANS, Lens
 from testbed.views.scene import Scene, ground
 
@@ -59,7 +59,7 @@ class Framing:
     wind: float  # m, length of the arrow of 1 m/s
 
 
-def fit_formation(scene: Scene, first: Batch) -> Framing:
+def fit_formation(scene: Scene, first: ViewBatch) -> Framing:
     """Choose scales for the slots of the first sample; unknown positions are left out."""
     slots = first.slot[0, : scene.camera_followers]
     points = np.concatenate([first.position[0, :1], slots])

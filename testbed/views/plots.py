@@ -10,7 +10,7 @@ import numpy as np
 from testbed.core.records import Array
 from testbed.formation.barrier import logged_curve
 from testbed.views.annotations import STALE_S
-from testbed.views.batch import Batch
+from testbed.views.batch import ViewBatch
 from testbed.views.panels import Colour, unique_values
 from testbed.views.quantities import PLOTTED
 from testbed.views.scene import BACKDROP, Scene, mix
@@ -19,7 +19,7 @@ LIMIT: Colour = (150, 150, 150)
 MAX_DESIRED = 8  # aircraft: of more, desired values are not drawn
 COURSE_RANGE = (-180.0, 180.0)  # deg
 
-Values = Callable[[Batch], Array]  # (m, k)
+Values = Callable[[ViewBatch], Array]  # (m, k)
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,7 +157,7 @@ def _barrier(scene: Scene) -> TimePlot:
     chosen = [each for each in scene.barriers if each is not None]
     low, high = scene.speed_bounds[known].T
 
-    def value(batch: Batch) -> Array:
+    def value(batch: ViewBatch) -> Array:
         through = batch.velocity[:, rows] - scene.bounds_wind[rows]
         speed = np.linalg.norm(through, axis=-1)
         curves = [logged_curve(each, speed[:, i], low[i], high[i]) for i, each in enumerate(chosen)]
@@ -194,7 +194,7 @@ def _series(scene: Scene, name: str, rows: Sequence[int], values: Values) -> Plo
     """Plot the values (m, k) of k aircraft, by their rows, until they are lost."""
     chosen = list(rows)
 
-    def until_lost(batch: Batch) -> Array:
+    def until_lost(batch: ViewBatch) -> Array:
         return np.where(batch.lost[:, chosen] > 0.0, np.nan, values(batch))
 
     return PlotSeries(

@@ -16,7 +16,7 @@ import numpy as np
 from testbed.core.frames import course, flight_path_angle, wrap_pi
 from testbed.core.records import Array
 from testbed.logs.messages import QUANTITIES
-from testbed.views.batch import Batch
+from testbed.views.batch import ViewBatch
 from testbed.views.panels import break_at_wrap
 
 if TYPE_CHECKING:  # the process that feeds a viewer needs no reader of logs
@@ -59,14 +59,14 @@ class PlottedQuantity:
         label = self.label(also)
         return label[0].upper() + label[1:]
 
-    def values(self, run: Batch | RunLog) -> Array:
+    def values(self, run: ViewBatch | RunLog) -> Array:
         """Return the values of K samples (K, N), or (K, n) of followers."""
         if self.computed is None:
             return self.field(run, self.fields[0])
         function, sources = self.computed
         return self._in_unit(function(*(_array(run, source) for source in sources)))
 
-    def field(self, run: Batch | RunLog, name: str) -> Array:
+    def field(self, run: ViewBatch | RunLog, name: str) -> Array:
         """Return the values of a field of the log, as `values` does."""
         found = QUANTITIES[name]
         return self._in_unit(found.of(_array(run, found.source)))
@@ -77,13 +77,13 @@ class PlottedQuantity:
         return break_at_wrap(np.degrees(wrap_pi(values))) if self.wraps else np.degrees(values)
 
 
-def _array(run: Batch | RunLog, source: str) -> Array:
-    name = _COLUMNS[source] if isinstance(run, Batch) else source
+def _array(run: ViewBatch | RunLog, source: str) -> Array:
+    name = _COLUMNS[source] if isinstance(run, ViewBatch) else source
     array: Array = attrgetter(name)(run)
     return array
 
 
-_COLUMNS = {each.metadata["source"]: each.name for each in fields(Batch) if each.metadata}
+_COLUMNS = {each.metadata["source"]: each.name for each in fields(ViewBatch) if each.metadata}
 
 
 def _length(vectors: Array) -> Array:

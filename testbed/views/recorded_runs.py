@@ -12,7 +12,7 @@ from testbed.core.errors import InputError
 from testbed.core.files import write_file
 from testbed.core.records import Event
 from testbed.logs.read import RunLog
-from testbed.views.batch import Batch, batch_of, overlay, split
+from testbed.views.batch import ViewBatch, batch_of, overlay, split
 from testbed.views.scene import Scene, overlay_scenes, scene_of
 from testbed.views.view import ViewSink, ViewTarget
 from testbed.views.viewer import headless_viewer
@@ -104,7 +104,7 @@ def screenshot(
 
 def scene_and_batch(
     first: RunLog, second: RunLog | None = None, *, follow: str | None = None
-) -> tuple[Scene, Batch]:
+) -> tuple[Scene, ViewBatch]:
     """Prepare one run, or two at the times that both have.
 
     Raises:
@@ -126,12 +126,12 @@ def scene_and_batch(
     return both, replace(batch, events=(*titles, *batch.events))
 
 
-def _prepare(run: RunLog, follow: str | None = None) -> tuple[Scene, Batch]:
+def _prepare(run: RunLog, follow: str | None = None) -> tuple[Scene, ViewBatch]:
     batch = batch_of(run, run.events)
     estimated = not np.array_equal(batch.estimated_position, batch.position, equal_nan=True)
     return replace(scene_of(run.info, follow), estimated=estimated), batch
 
 
-def _send(sink: ViewSink, batch: Batch) -> None:
+def _send(sink: ViewSink, batch: ViewBatch) -> None:
     for piece in split(batch, BATCH_SAMPLES):
         sink.send(piece)

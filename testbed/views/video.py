@@ -23,7 +23,7 @@ from testbed.views.annotations import (
     scale_bar,
     text_boxes,
 )
-from testbed.views.batch import Batch
+from testbed.views.batch import ViewBatch
 from testbed.views.cameras import (
     ABOVE,
     BEHIND,
@@ -94,7 +94,7 @@ class FlightVideo:
     """Frames of one flight at some of its samples."""
 
     def __init__(
-        self, scene: Scene, batch: Batch, frames: NDArray[np.intp], size: tuple[int, int]
+        self, scene: Scene, batch: ViewBatch, frames: NDArray[np.intp], size: tuple[int, int]
     ) -> None:
         """Prepare the cameras.
 

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from testbed.core.errors import describe_error, memory_shortage
 from testbed.core.files import check_writable, write_file
 from testbed.core.records import Event, RunInfo, Sample
-from testbed.views.batch import Batch, Collector
+from testbed.views.batch import Collector, ViewBatch
 from testbed.views.scene import Scene, scene_of
 from testbed.views.viewer import HOST, PORT, unavailable_reason
 
@@ -137,7 +137,7 @@ EXIT_REASONS = {  # by exit code of the feeding process
 class ViewSink(Protocol):
     """An open view."""
 
-    def send(self, batch: Batch) -> None:
+    def send(self, batch: ViewBatch) -> None:
         """Show consecutive samples."""
 
     def close(self) -> None:
@@ -211,7 +211,7 @@ class _RrdSink:
         self._recording = RerunRecording(scene, live=False)
         self._recording.open(None)
 
-    def send(self, batch: Batch) -> None:
+    def send(self, batch: ViewBatch) -> None:
         self._recording.send(batch)
 
     def close(self) -> None:
@@ -268,12 +268,12 @@ class Feeder:
             env=os.environ | {"PYTHONPATH": paths, "RUST_LOG": "off"},
             start_new_session=True,  # Ctrl-C is for the run
         )
-        self._queue: queue.Queue[Batch | Opening | None] = queue.Queue(QUEUE_BATCHES)
+        self._queue: queue.Queue[ViewBatch | Opening | None] = queue.Queue(QUEUE_BATCHES)
         self._queue.put(Opening(scene, live=not lossless, at_s=at_s))
         self._thread = threading.Thread(target=self._write, name="view", daemon=True)
         self._thread.start()
 
-    def send(self, batch: Batch) -> None:
+    def send(self, batch: ViewBatch) -> None:
         """Queue a batch; drop it if the queue is full, unless lossless."""
         while self._thread.is_alive():
             try:

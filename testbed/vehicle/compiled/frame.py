@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from math import asin, atan, atan2, copysign, cos, pi, pow, sin, sqrt
 
-from testbed.core.compile import kernel
+from testbed.core.compile import jitable, kernel
 from testbed.core.records import Values, Vector
 
 # WGS 84, as in vehicle/earth.xml
@@ -128,7 +128,7 @@ def adams_bashforth_3(dt: float, now: float, before: float, earlier: float) -> f
 # Propagate
 
 
-@kernel
+@jitable  # also of placements, from Python
 def attitude_rate(q: Values, rates: Vector) -> Values:
     """Return the derivative of the quaternion of the attitude, I to B.
 

@@ -15,7 +15,7 @@ import rerun as rr
 
 from testbed.core.records import Array
 from testbed.views.annotations import Canvas, name_aircraft, scale_bar
-from testbed.views.batch import Batch
+from testbed.views.batch import ViewBatch
 from testbed.views.cameras import CameraTrack
 from testbed.views.layout import UNITS
 from testbed.views.scene import TEXT_COLOUR, Scene
@@ -42,7 +42,7 @@ def camera_frame(track: CameraTrack) -> rr.ComponentColumnList:
 
 
 def overlay(
-    scene: Scene, batch: Batch, track: CameraTrack, canvas: Canvas, size: float, *, grid: bool
+    scene: Scene, batch: ViewBatch, track: CameraTrack, canvas: Canvas, size: float, *, grid: bool
 ) -> Columns:
     """Make names, arrows towards aircraft out of view, and the scale, for each sample.
 

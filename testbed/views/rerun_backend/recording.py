@@ -31,7 +31,7 @@ from testbed.core.records import Array, Event
 from testbed.views import layout, plots
 from testbed.views.airframes import AirframeDrawing, draw_fleet
 from testbed.views.annotations import LOST, Links
-from testbed.views.batch import Batch, concat
+from testbed.views.batch import ViewBatch, concat
 from testbed.views.cameras import (
     ABOVE,
     BEHIND,
@@ -78,7 +78,7 @@ class RerunRecording:
         self._pending_time = np.empty(0)
         self._lost = np.zeros(len(scene.names), dtype=bool)
         self._sent = 0  # samples
-        self._last_plotted: Batch | None = None  # one sample
+        self._last_plotted: ViewBatch | None = None  # one sample
         self._framing: layout.Framing | None = None
         self.calls = 0
         self._memory: rr.MemoryRecording | None = None
@@ -109,7 +109,7 @@ class RerunRecording:
         """Flush and disconnect."""
         self._stream.disconnect()
 
-    def send(self, batch: Batch) -> None:
+    def send(self, batch: ViewBatch) -> None:
         """Send consecutive samples; the first batch also sends the static part and the layout."""
         if len(batch):
             if self._framing is None:
@@ -134,7 +134,7 @@ class RerunRecording:
             entity, indexes=[rr.TimeColumn(TIMELINE, duration=time)], columns=columns
         )
 
-    def _begin(self, first: Batch) -> None:
+    def _begin(self, first: ViewBatch) -> None:
         scene = self._scene
         self._framing = layout.fit_formation(scene, first)
         self._cameras = FormationCameras(scene, (BEHIND, ABOVE), self._framing.size)
@@ -149,7 +149,7 @@ class RerunRecording:
             blueprint(scene, self._framing, self._tabs, live=self._live, span=span)
         )
 
-    def _send_motion(self, batch: Batch, behind: CameraTrack, above: CameraTrack) -> None:
+    def _send_motion(self, batch: ViewBatch, behind: CameraTrack, above: CameraTrack) -> None:
         rows = self._every(layout.POSE_ROWS_PER_S)
         shown = batch.rows(rows)
         attitude = quaternion_xyzw(shown.euler)
@@ -171,7 +171,7 @@ class RerunRecording:
             self._send_loss(batch, int(row))
         self._lost |= batch.lost.any(axis=0)
 
-    def _send_loss(self, batch: Batch, k: int) -> None:
+    def _send_loss(self, batch: ViewBatch, k: int) -> None:
         """Mark where an aircraft was lost, and hide its slot."""
         first, name = int(batch.lost[:, k].argmax()), self._scene.names[k]
         time, size = batch.time[first : first + 1], rr.Radius.ui_points([4.0])
@@ -199,7 +199,7 @@ class RerunRecording:
             entity, time, rr.Transform3D.columns(translation=position, quaternion=quaternion)
         )
 
-    def _send_trails(self, batch: Batch) -> None:
+    def _send_trails(self, batch: ViewBatch) -> None:
         """Send complete pieces of the trails; the rest waits for the next batch."""
         points = np.concatenate([self._pending_points, batch.position])
         time = np.concatenate([self._pending_time, batch.time])
@@ -217,7 +217,7 @@ class RerunRecording:
                 rr.LineStrips3D.columns(strips=np.ascontiguousarray(strips[:, :, k])),
             )
 
-    def _send_overlays(self, batch: Batch, behind: CameraTrack, above: CameraTrack) -> None:
+    def _send_overlays(self, batch: ViewBatch, behind: CameraTrack, above: CameraTrack) -> None:
         assert self._framing is not None
         rows = self._every(math.inf, layout.LABEL_ROWS_PER_S)
         shown = batch.rows(rows)
@@ -238,7 +238,7 @@ class RerunRecording:
             for name, columns in parts:
                 self._columns(f"world/{camera}/{name}", shown.time, columns)
 
-    def _send_annotations(self, batch: Batch, above: CameraTrack) -> None:
+    def _send_annotations(self, batch: ViewBatch, above: CameraTrack) -> None:
         assert self._framing is not None
         rows = self._every(layout.PLOT_ROWS_PER_S)
         shown, track = batch.rows(rows), above.rows(rows)
@@ -265,7 +265,7 @@ class RerunRecording:
             )
             self._columns("world/chase/links", lines.time, strips.partition(lines.counts))
 
-    def _send_plots(self, batch: Batch) -> None:
+    def _send_plots(self, batch: ViewBatch) -> None:
         shown = batch.rows(self._every(layout.PLOT_ROWS_PER_S))
         if not len(shown):
             return
