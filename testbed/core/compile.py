@@ -101,7 +101,7 @@ def _entry(function: F, options: dict[str, Any]) -> F:
 
 
 def entry_of_source(name: str, source: str) -> Callable[..., Any]:
-    """Return a function as an entry, whose source was generated.
+    """Compile a function of generated source as an entry.
 
     The source is kept beside the machine code, for tracebacks and debuggers.
 

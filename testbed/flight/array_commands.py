@@ -64,10 +64,6 @@ class ArrayCommands:
         """Return the call that clears what the law reports of followers that it does not fly."""
         return Call(_clear_diagnostics, self.commanded, followers)
 
-    def left_formation(self, left: BoolArray) -> BoolArray:
-        """Mark followers that the law does not control as having left the formation, (n,)."""
-        return left | self.commanded[1:]
-
     def command_counts(self) -> Mapping[str, Mapping[str, int]]:
         """Count the commands, by aircraft; for the metrics."""
         counts = zip(self._names, self._counts.tolist(), strict=True)

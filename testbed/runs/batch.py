@@ -13,12 +13,10 @@ from testbed.core.errors import InputError
 from testbed.core.records import AIRCRAFT, COMMAND, FOLLOWER, Event, allocate
 from testbed.flight.loop import Flight, NeverEnded
 from testbed.metrics import MetricsObserver
-from testbed.metrics.document import finalise
 from testbed.metrics.model import Metrics
 from testbed.plan.world import RowRecords, build
-from testbed.runs.external_options import external_summary
 from testbed.runs.run import find_loaded
-from testbed.runs.simulation import EventCollector, StepArguments
+from testbed.runs.simulation import EventCollector, StepArguments, flight_metrics
 from testbed.scenario import Scenario, set_seed
 from testbed.scenario.aircraft import ArduPlane
 from testbed.scenario.arguments import check_argument, check_count, check_overrides
@@ -186,15 +184,8 @@ class _Row:
 
     def metrics(self) -> Metrics:
         """Return the metrics up to now."""
-        world = self._world
-        return finalise(
-            self._meter.summary(),
-            network=world.formation.radio.summary(),
-            external=external_summary(world, None, None),
-            outcome=self.outcome or "interrupted",
-            wall_s=time.perf_counter() - self._begun_s,
-            expect=self.scenario.expect.model_dump(),
-        )
+        outcome, expect = self.outcome or "interrupted", self.scenario.expect
+        return flight_metrics(self._world, self._meter, outcome, self._begun_s, expect)
 
 
 def _row_scenarios(

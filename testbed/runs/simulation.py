@@ -236,14 +236,8 @@ class Simulation:
     @property
     def metrics(self) -> Metrics:
         """The metrics up to now, as in metrics.json; of a flight that goes on, "interrupted"."""
-        return finalise(
-            self._meter.summary(),
-            network=self._world.parts.radio.summary() if self._world.parts else None,
-            external=external_summary(self._world, None, None),
-            outcome=self.outcome or "interrupted",
-            wall_s=time.perf_counter() - self._begun_s,
-            expect=self.scenario.expect.model_dump(),
-        )
+        outcome, expect = self.outcome or "interrupted", self.scenario.expect
+        return flight_metrics(self._world, self._meter, outcome, self._begun_s, expect)
 
     def close(self) -> None:
         """End the flight, and write log and metrics where there is a directory; repeatable."""
@@ -323,6 +317,28 @@ class StepArguments(Section):
     """Arguments of a step."""
 
     until: Instant = Field(description="Time of the flight, s.")
+
+
+def flight_metrics(
+    world: World, meter: MetricsObserver, outcome: str, begun_s: float, expect: Section
+) -> Metrics:
+    """Return the metrics of a flight without links.
+
+    Args:
+        world: that is flown.
+        meter: of the flight.
+        outcome: how it has ended, or "interrupted".
+        begun_s: when it began, of `time.perf_counter`.
+        expect: bounds of the scenario on its numbers.
+    """
+    return finalise(
+        meter.summary(),
+        network=world.parts.radio.summary() if world.parts else None,
+        external=external_summary(world, None, None),
+        outcome=outcome,
+        wall_s=time.perf_counter() - begun_s,
+        expect=expect.model_dump(),
+    )
 
 
 class EventCollector:

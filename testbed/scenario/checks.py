@@ -252,7 +252,7 @@ def _dotted(path: KeyPath) -> str:
 
 
 def check_sensor_rates(at: KeyPath, aircraft: AircraftSection, rates: Rates) -> Iterator[Finding]:
-    """Find sensors of an aircraft, whose path this is, that measure more often than is read."""
+    """Find sensors of the aircraft at a path that measure more often than they are read."""
     max_rate = rates.autopilot_hz
     for name in SENSOR_NAMES:
         rate = getattr(getattr(aircraft.sensors, name), "rate_hz", 0)

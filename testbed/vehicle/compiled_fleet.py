@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -170,47 +169,37 @@ class CompiledFleet(FlightModels):
             state[which] = [placed[i].row for i in which.tolist()]
             self._kinds.append(_Kind(kind, which, state))
         self._status = np.zeros(n, dtype=np.uint8)
-        self._steps, self._needed = np.ones(1, dtype=np.intp), np.zeros(n, dtype=bool)
+        self._steps = np.ones(1, dtype=np.intp)
         trims, leads = [each.trim for each in placed], [each.leads for each in placed]
         super().__init__(folders, starts, origin, trims, leads)
 
-    @cached_property
-    def _read_calls(self) -> list[Call]:
-        return [
-            Call(_read_air, each.state, each.which, self._status, columns, self._air_numbers)
-            for each in self._kinds
-            for columns in [each.aircraft.air_columns]
-        ]
-
-    def _run_calls(self, steps: Indices) -> list[Call]:
-        """Return the calls that advance all aircraft with their inputs."""
+    def _run_arguments(self, kind: _Kind, which: Indices, steps: Indices) -> tuple[Any, ...]:
+        """Return the arguments of `run_rows` for some aircraft (K,) of a kind."""
         inputs = self._wind_numbers, self._controls, self._first_controls, self._changed
-        leads = self._controls, self._lead, self._last_controls, self._first_controls
-        calls = [Call(_lead_changed, *leads, self.all_rows, self._changed)]
-        for each in self._kinds:
-            rest = self._dt, steps, _NO_CLEARANCE, each.which, self._status
-            calls.append(Call(each.aircraft.run_rows, each.state, *inputs, *rest))
-        return calls
+        return (kind.state, *inputs, self._dt, steps, _NO_CLEARANCE, which, self._status)
 
     def move_steps(self, move: Move) -> tuple[Step, ...]:
         """See `FlightModels`."""
+        leads = self._controls, self._lead, self._last_controls, self._first_controls
         motion = self._numbers, self._frame, self.aircraft
-        return (
-            *self._run_calls(move.steps),
-            *(
-                Call(_write_needed, each.state, each.which, self.rows, move.needed, *motion)
-                for each in self._kinds
-            ),
-            (
-                Call(_end_steps, self._changed, self._status),
-                lambda now: self._stop_ended(),
-            ),
-        )
+        run, write = list[Call](), list[Call]()
+        for each in self._kinds:
+            arguments = self._run_arguments(each, each.which, move.steps)
+            run.append(Call(each.aircraft.run_rows, *arguments))
+            rows = each.state, each.which, self.rows, move.needed
+            write.append(Call(_write_needed, *rows, *motion))
+        lead = Call(_lead_changed, *leads, self.all_rows, self._changed)
+        end = Call(_end_steps, self._changed, self._status)
+        return (lead, *run, *write, (end, lambda now: self._stop_ended()))
 
     @property
     def air_steps(self) -> tuple[Step, ...]:
         """See `FlightModels`."""
-        return (*self._read_calls, self._write_air_call)
+        read = []
+        for each in self._kinds:
+            rows = each.state, each.which, self._status
+            read.append(Call(_read_air, *rows, each.aircraft.air_columns, self._air_numbers))
+        return (*read, self._write_air_call)
 
     @property
     def no_gust_inputs(self) -> BoolArray:
@@ -232,12 +221,10 @@ class CompiledFleet(FlightModels):
     def _run_models(self, which: Indices, ticks: int, read: Indices) -> None:
         if self._changed[CONTROLS]:
             self._lead_controls(which)
-        inputs = self._wind_numbers, self._controls, self._first_controls, self._changed
         self._steps[0] = ticks
         for each in self._kinds:
             own = np.intersect1d(each.which, which)
-            rest = self._dt, self._steps, _NO_CLEARANCE, own, self._status
-            each.aircraft.run_rows(each.state, *inputs, *rest)
+            each.aircraft.run_rows(*self._run_arguments(each, own, self._steps))
         self._changed[:] = False
         self._stop_ended()
         self._read_numbers(read)
