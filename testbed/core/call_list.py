@@ -143,6 +143,8 @@ class CalledByAddress:
         function: the entry.
     """
 
+    UNSAVED = "function", "_addresses"  # of all flights
+
     def __init__(self, function: Any, takes_time: bool) -> None:  # noqa: ANN401 - numba's
         """Start without machine code."""
         self.__module__, self.__qualname__ = function.__module__, function.__qualname__

@@ -149,6 +149,13 @@ def is_interpreted() -> bool:
     return bool(config.DISABLE_JIT)
 
 
+def is_compiled(value: object) -> bool:
+    """Return whether something is an entry or a kernel that numba compiles."""
+    from numba.core.dispatcher import Dispatcher
+
+    return isinstance(value, Dispatcher)
+
+
 def _cached(function: Callable[..., Any], folder: Path, options: dict[str, Any]) -> Any:  # noqa: ANN401 - numba's dispatcher
     """Compile with a cache in this folder; return None where it cannot be written."""
     import numba

@@ -80,6 +80,12 @@ def allocate(dtype: np.dtype[Any], *shape: int) -> Records:
     return records.view(np.recarray) if _DEBUG else records
 
 
+def row_alone(records: Records, row: int) -> Records:
+    """View a row of records (R, ...) as an array that does not know of the others."""
+    alone = np.ndarray(records.shape[1:], records.dtype, memoryview(records.view(np.uint8)[row]))
+    return alone.view(np.recarray) if _DEBUG else alone
+
+
 def fields_of(kind: type[_RecordT], records: Records, **others: Any) -> _RecordT:  # noqa: ANN401
     """View the fields of records as a named tuple of arrays.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -89,6 +89,10 @@ class SampleBuffer:
     @property
     def _rows(self) -> tuple[Any, ...]:
         return self._ticks, self._count, self._aircraft, self._followers, *self._links.values()
+
+    def unused_arrays(self) -> Iterable[NDArray[Any]]:
+        """Return the arrays of an empty buffer, whose numbers are written before they are read."""
+        return () if len(self) else (each for each in self._rows if each is not self._count)
 
     def append(self, sample: Sample) -> None:
         """Copy a sample.

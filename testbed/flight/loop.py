@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import TypeAlias
 
 import numpy as np
@@ -19,6 +20,7 @@ from testbed.core.records import (
     write_fields,
 )
 from testbed.core.samples import make_sample
+from testbed.core.saved_state import Replayed
 from testbed.flight.formation_stages import FormationStages
 from testbed.flight.monitors import GustMonitor, LossMonitor
 from testbed.flight.observers import EventQueue, Observers, take_block
@@ -50,7 +52,7 @@ class NeverEnded:
         return False
 
 
-PAUSE = "wait for the caller"  # name of the stage at which `Flight.ticks` yields
+PAUSE = "wait for the caller"  # name of the stage at which `Flight.fly_to` returns
 
 
 def fly(world: World, observers: Sequence[Observer], ended: Ended) -> str:
@@ -67,6 +69,8 @@ class Flight:
         stages: of a tick, in order; absent parts of the scenario have none.
         ending: the outcome, when the flight has ended.
     """
+
+    UNSAVED = ("_entries",)
 
     @registering()
     def __init__(
@@ -121,6 +125,12 @@ class Flight:
         self._paused_loop = self._make_loop((*sense, pause, *rest))
         control = (each for each in rest if each.part is Part.CONTROL)
         self._steering = self._make_loop((*sense, *control))
+        self._is_paused = False
+        clock, all_motions = world.clock, False
+        if world.parts is not None:
+            all_motions = world.parts.radio.needs_all_positions
+        self._last_tick = clock.ticks(world.duration_s)
+        self._blocks = Replayed(partial(clock.blocks, all_motions=all_motions))
         self._entries = *world.entries, *registered()
 
     def _make_loop(self, stages: Sequence[Stage]) -> TickLoop:
@@ -261,10 +271,22 @@ class Flight:
             compiling: see `core.compile.prepare`.
             check: the same.
         """
+        self.compile(compiling, check)
+        self.settle()
+
+    def compile(
+        self,
+        compiling: Callable[[int, int], None] | None = None,
+        check: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Compile the kernels; see `prepare`."""
         prepare(self._entries, compiling, check)
         for each in self.stages:
             if each.call is not None:
                 each.call.bind()
+
+    def settle(self) -> None:
+        """Let the filters settle, after `compile`."""
         self._world.estimators.warm_up(self._world.aircraft)
 
     def fly(self, ended: Ended) -> str:
@@ -278,55 +300,52 @@ class Flight:
             The outcome: "completed", "lost", "envelope_exceeded", "formation_lost",
             "separation_lost" or "interrupted".
         """
-        for _ in self._run(self._loop, ended):
-            pass
+        self._advance(self._loop, ended)
         assert self.ending is not None
         return self.ending
 
-    def ticks(self, ended: Ended) -> Iterator[float]:
-        """Fly tick by tick, after `prepare`; `ending` is the outcome when the iterator has ended.
+    def fly_to(self, until_s: float) -> bool:
+        """Fly on to the first tick at or after a time, s, after `prepare`.
 
-        Args:
-            ended: see `fly`.
+        The estimates of that tick are written, its control comes with the next call; `ending` is
+        the outcome when the flight has ended.
 
-        Yields:
-            The time of a tick, s, when its estimates are written, before its control; of each, or
-            of the first at or after that of `pause_at`.
+        Returns:
+            Whether the flight goes on.
         """
-        return self._run(self._paused_loop, ended)
+        self._until_s[0] = until_s
+        return self._advance(self._paused_loop, NeverEnded())
 
     @property
-    def last_s(self) -> float:
-        """Time of the last tick of a flight that has ended in `ticks`, s."""
+    def time_s(self) -> float:
+        """Time of the tick to which `fly_to` has flown, s."""
         return self._paused_loop.time_s
 
-    def pause_at(self, until_s: float) -> None:
-        """Let `ticks` yield nothing before a time, s; infinite: nothing up to the end."""
-        self._until_s[0] = until_s
-
-    def _run(self, loop: TickLoop, ended: Ended) -> Iterator[float]:
-        """Run blocks of ticks to the end of the flight; yield the time of each pause, s."""
-        world, look = self._world, 1 if getattr(ended, "each_tick", True) else LOOK_TICKS
-        last = world.clock.ticks(world.duration_s)
-        all_motions = world.parts is not None and world.parts.radio.needs_all_positions
-        for rows, period in world.clock.blocks(all_motions=all_motions):
-            loop.load(rows, period, last)
+    def _advance(self, loop: TickLoop, ended: Ended) -> bool:
+        """Run blocks of ticks to the next pause, and return true, or to the end of the flight."""
+        look = 1 if getattr(ended, "each_tick", True) else LOOK_TICKS
+        if self._is_paused:
+            loop.resume()
+            self._is_paused = False
+        while True:
             while loop.in_block:
                 if ended(loop.time_s, loop.due):
                     self.ending = "interrupted"
-                    return
+                    return False
                 loop.limit(look)
                 while (stage := loop.run()) is not None:
                     if stage.name == PAUSE:
-                        yield loop.time_s
-                    elif stage.then is not None:
+                        self._is_paused = True
+                        return True
+                    if stage.then is not None:
                         stage.then(loop.time_s)
                         if look > 1 and self.ending is None and ended(loop.time_s, loop.due):
                             self.ending = "interrupted"
                     loop.resume(ending=self.ending is not None)
             if loop.done:
-                break
-        self.ending = self.ending or self.outcome
+                self.ending = self.ending or self.outcome
+                return False
+            loop.load(*next(self._blocks), self._last_tick)
 
     def steer(self, now: float, due: TickActions) -> None:
         """Sense and control at a time, s, without stepping autopilots: for measurements."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 from testbed.atmosphere.air import Atmosphere
 from testbed.core.compile import Arguments
@@ -13,6 +14,7 @@ from testbed.core.records import (
     Records,
     RunInfo,
 )
+from testbed.core.saved_state import copy_state
 from testbed.flight.arduplane_vehicles import ArduPlaneVehicles
 from testbed.flight.array_commands import ArrayCommands
 from testbed.flight.companion import Companions
@@ -133,6 +135,23 @@ class World:
     initial_events: tuple[Event, ...]  # from before the flight
     info: RunInfo
     entries: tuple[Arguments, ...]  # that step them
+    # Makes what depends on the seed alone, for another seed; in the order of `of_seed`
+    make_of_seed: Callable[[int], tuple[object, ...]] | None = None  # None: more depends on it
+
+    UNSAVED: ClassVar[tuple[str, ...]] = ("entries", "make_of_seed")
+
+    @property
+    def of_seed(self) -> tuple[object, ...]:
+        """What depends on the seed."""
+        return self.air, self.estimators, self.formation.radio
+
+    def reseed(self, seed: int) -> bool:
+        """Let a world that has not flown yet fly with another seed; return whether it can."""
+        if self.make_of_seed is None:
+            return False
+        for made, own in zip(self.make_of_seed(seed), self.of_seed, strict=True):
+            copy_state(made, own)
+        return True
 
     @property
     def formation(self) -> FormationParts:

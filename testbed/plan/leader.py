@@ -13,6 +13,7 @@ import numpy as np
 from testbed.core.errors import InputError
 from testbed.core.frames import GRAVITY
 from testbed.core.records import Array, NedOrigin
+from testbed.core.saved_state import Replayed
 from testbed.core.standard_atmosphere import density_ratio
 from testbed.flight.leader_control import MissionController, ScriptedController
 from testbed.flight.schedule import Clock
@@ -80,7 +81,7 @@ def build_leader(
         motion: Motion = partial(paths.evaluate, curve, wind_ned=wind_ned)
     else:
         motion = _recorded_motion(path)
-    blocks = _blocks(motion, clock, duration_s, origin, warmer)
+    blocks = Replayed(partial(_blocks, motion, clock, duration_s, origin, warmer))
     vehicle = ScriptedVehicle(blocks, np.array(wind_ned))
     first = motion(np.zeros(1))
     velocity = first.velocity_ned[0]

@@ -141,7 +141,7 @@ def build(
         records = RowRecords(*own)
     aircraft, followers, commands = records
     write_fields(aircraft["faults"], no_faults(len(names)))
-    air = _build_air(scenario, fleet, mean_wind, height, clock)
+    air = _build_air(scenario, fleet, mean_wind, height, clock, seed)
     if not air.steady:
         air.bind(aircraft)
     vehicles = build_vehicles(
@@ -167,7 +167,16 @@ def build(
         array = build_array_commands(fleet, jsbsim, commands)
     elif commanded or any(each.commanded_by.kind == "external" for each in scenario.aircraft):
         external = build_external_control(fleet, clock, leader.controller, starts, jsbsim)
-    estimators = _build_estimators(scenario, faults)
+    estimators = _build_estimators(scenario, seed, faults)
+
+    def make_of_seed(other: int) -> tuple[object, ...]:
+        other_air = None
+        if not air.steady:
+            other_air = _build_air(scenario, fleet, mean_wind, height, clock, other)
+            other_air.bind(aircraft.copy())
+        other_radio, _ = build_radio(names, scenario.network, fleet.weights, origin, other)
+        return other_air, _build_estimators(scenario, other, faults), other_radio
+
     companions = build_companions(scenario.controller.companion, clock, aircraft)
     return World(
         clock=clock,
@@ -238,6 +247,7 @@ def build(
             models=vehicles.fleet,
         ),
         entries=registered(),
+        make_of_seed=make_of_seed if rates.synchronous else None,
     )
 
 
@@ -257,13 +267,13 @@ def build_single(flight: SingleAircraft) -> World:
     starts = build_single_start(fleet, flight, mean_wind)
     aircraft = allocate(AIRCRAFT, 1)
     write_fields(aircraft["faults"], no_faults(1))
-    air = _build_air(flight, fleet, mean_wind, height, clock)
+    air = _build_air(flight, fleet, mean_wind, height, clock, flight.scenario.seed)
     if not air.steady:
         air.bind(aircraft)
     jsbsim = build_jsbsim_vehicles(
         fleet, starts, flight.rates, clock, aircraft, warmer=warmer, engine=flight.scenario.engine
     )
-    estimators = _build_estimators(flight)
+    estimators = _build_estimators(flight, flight.scenario.seed)
     return World(
         clock=clock,
         duration_s=duration_s,
@@ -343,13 +353,14 @@ def _build_air(
     mean_wind: MeanWind,
     height: float,
     clock: Clock,
+    seed: int,
 ) -> Atmosphere:
     return build_air(
         scenario.air,
         mean_wind,
         fleet.names,
         [each.airframe for each in fleet.aircraft],
-        seed=scenario.scenario.seed,
+        seed=seed,
         height_m=height,
         elevation_m=fleet.origin.elevation_m,
         dt=clock.autopilot / clock.base_rate_hz,
@@ -358,12 +369,12 @@ def _build_air(
 
 
 def _build_estimators(
-    scenario: Scenario | SingleAircraft, faults: FaultManager | None = None
+    scenario: Scenario | SingleAircraft, seed: int, faults: FaultManager | None = None
 ) -> StateEstimators:
     return StateEstimators(
         [each.name for each in scenario.aircraft],
         [each.sensors for each in scenario.aircraft],
-        seed=scenario.scenario.seed,
+        seed=seed,
         rate_hz=scenario.rates.autopilot_hz,
         sensor_faults=faults is not None and faults.affects_sensors,
     )

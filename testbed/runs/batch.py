@@ -2,16 +2,32 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import os
 import time
+import weakref
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
+import numpy as np
+
+from testbed.commands.autopilot_session import MANUAL_ANGLE_LIMIT
 from testbed.core.compile import reporting
 from testbed.core.errors import InputError
-from testbed.core.records import AIRCRAFT, COMMAND, FOLLOWER, Event, allocate
-from testbed.flight.loop import Flight, NeverEnded
+from testbed.core.records import (
+    AIRCRAFT,
+    COMMAND,
+    FOLLOWER,
+    BoolArray,
+    Event,
+    FbwaCommand,
+    allocate,
+    row_alone,
+)
+from testbed.core.saved_state import SavedState
+from testbed.flight.loop import Flight
 from testbed.metrics import MetricsObserver
 from testbed.metrics.model import Metrics
 from testbed.plan.world import RowRecords, build
@@ -21,6 +37,10 @@ from testbed.scenario import Scenario, set_seed
 from testbed.scenario.aircraft import ArduPlane
 from testbed.scenario.arguments import check_argument, check_count, check_overrides
 from testbed.scenario.validate import shown_value
+
+_PARTS = 4  # of the rows, for each thread
+_ANGLES = -MANUAL_ANGLE_LIMIT, MANUAL_ANGLE_LIMIT
+_BOUNDS = {"pitch": _ANGLES, "roll": _ANGLES, "throttle": (0.0, 1.0)}  # of commands
 
 
 class Batch:
@@ -78,14 +98,16 @@ class Batch:
         self.aircraft = allocate(AIRCRAFT, size, n)
         self.followers = allocate(FOLLOWER, size, n - 1)
         self.commands = allocate(COMMAND, size, n)
+        self.outcomes: list[str | None] = [None] * size
         with reporting(compiling):
             self._rows = [self._build(row) for row in range(size)]
-        self.times_s = [0.0] * size
-        self.outcomes: list[str | None] = [None] * size
-        self._advance(-math.inf)
+        self.times_s = np.array([each.time_s for each in self._rows])
+        commands = [(name, *_BOUNDS[name]) for name in FbwaCommand._fields]
+        self._commanded = np.array([each.commanded for each in self._rows])
+        self._bounds = commands if self._commanded.any() else []
 
     def _build(self, row: int) -> _Row:
-        arrays = self.aircraft[row], self.followers[row], self.commands[row]
+        arrays = (row_alone(each, row) for each in (self.aircraft, self.followers, self.commands))
         return _Row(self.scenarios[row], RowRecords(*arrays))
 
     def __len__(self) -> int:
@@ -96,10 +118,10 @@ class Batch:
         """Fly all rows that have not ended to the first tick at or after a time.
 
         Args:
-            until: s, from 0 to a day.
+            until: s, from 0 to a day; a row that is there already stays.
 
         Raises:
-            InputError: `until` is wrong.
+            InputError: `until` or a command is wrong. No row has then moved.
         """
         self._advance(check_argument("until", until, StepArguments, "until"))
 
@@ -109,12 +131,38 @@ class Batch:
         return [self.metrics(row) for row in range(len(self))]
 
     def _advance(self, until_s: float) -> None:
-        flying = [row for row, outcome in enumerate(self.outcomes) if outcome is None]
-        with ThreadPoolExecutor(self._threads) as pool:
-            for row, time_s in zip(
-                flying, pool.map(lambda row: self._rows[row].advance(until_s), flying), strict=True
-            ):
-                self.times_s[row], self.outcomes[row] = time_s, self._rows[row].outcome
+        self._check_commands()
+        earlier = self.times_s < until_s
+        flying = [row for row in np.flatnonzero(earlier).tolist() if self.outcomes[row] is None]
+        if self._threads == 1 or len(flying) < 2:
+            self._fly(flying, until_s)
+            return
+        # some parts for each thread: the rows of one can take longer
+        parts = min(len(flying), _PARTS * self._threads)
+        list(self._pool.map(lambda k: self._fly(flying[k::parts], until_s), range(parts)))
+
+    @functools.cached_property
+    def _pool(self) -> ThreadPoolExecutor:
+        pool = ThreadPoolExecutor(self._threads, "testbed-batch")
+        weakref.finalize(self, pool.shutdown, wait=False)
+        return pool
+
+    def _fly(self, rows: Sequence[int], until_s: float) -> None:
+        for row in rows:
+            each = self._rows[row]
+            self.times_s[row] = each.advance(until_s)
+            self.outcomes[row] = each.outcome
+
+    def _check_commands(self) -> None:
+        for name, low, high in self._bounds:
+            values = self.commands[name]
+            wrong = ~((values >= low) & (values <= high)) & self._commanded
+            if wrong.any():
+                row, i = np.argwhere(wrong)[0].tolist()
+                raise InputError(
+                    f"commands[{row}, {i}], of {self.names[i]}: {name}: is {values[row, i]:g} "
+                    f"(write a number from {low:.4g} to {high:.4g})"
+                )
 
     def metrics(self, row: int) -> Metrics:
         """Return the metrics of a row up to now; of a flight that goes on, "interrupted"."""
@@ -137,15 +185,29 @@ class Batch:
         chosen = range(len(self)) if rows is None else [self._checked(row) for row in rows]
         if seeds is not None and len(seeds) != len(chosen):
             raise InputError(f"seeds: has {len(seeds)} (write {len(chosen)}, one for each row)")
-        for k, row in enumerate(chosen):
-            if seeds is not None:
-                self.scenarios[row] = set_seed(self.scenarios[row], seeds[k])
-        for row in chosen:
-            for array in (self.aircraft, self.followers, self.commands):
-                array[row] = 0
+        scenarios = [self.scenarios[row] for row in chosen]
+        if seeds is not None:
+            scenarios = [set_seed(each, seed) for each, seed in zip(scenarios, seeds, strict=True)]
+        for row, scenario in zip(chosen, scenarios, strict=True):
+            if not self._rows[row].reset(scenario):
+                self._rebuild(row, scenario)
+            self.scenarios[row], self.outcomes[row] = scenario, None
+            self.times_s[row] = self._rows[row].time_s
+
+    def _rebuild(self, row: int, scenario: Scenario) -> None:
+        """Build a row anew; it stays as it is where that fails."""
+        arrays = self.aircraft[row], self.followers[row], self.commands[row]
+        before = [each.copy() for each in arrays], self.scenarios[row]
+        for each in arrays:
+            each[...] = 0
+        self.scenarios[row] = scenario
+        try:
             self._rows[row] = self._build(row)
-            self.outcomes[row] = None
-            self.times_s[row] = self._rows[row].advance(-math.inf)
+        except BaseException:
+            for each, copy in zip(arrays, before[0], strict=True):
+                each[...] = copy
+            self.scenarios[row] = before[1]
+            raise
 
     def _checked(self, row: int) -> int:
         if isinstance(row, int) and 0 <= row < len(self):
@@ -166,21 +228,60 @@ class _Row:
         self.outcome: str | None = None
         self._world = world = build(scenario, in_process=True, records=records)
         self._meter, self.events = MetricsObserver(published=scenario.published), EventCollector()
-        observers = self._meter, self.events
-        self._flight = Flight(world, observers)
-        self._flight.prepare()
-        for each in observers:
+        self._flight = Flight(world, (self._meter, self.events))
+        self._flight.compile()
+        for each in (self._meter, self.events):
             each.begin(world.info)
-        self._ticks = self._flight.ticks(NeverEnded())
+        self._seed, self._built = scenario.scenario.seed, None
+        if world.fleet is None or world.fleet.engine == "compiled":
+            self._built = self._save()
+        self._start: SavedState | None = None  # at the first tick; made when it is used
+        self.time_s = self._begin()
+
+    def _save(self) -> SavedState:
+        return SavedState(flight=self._flight, metrics=self._meter, events=self.events)
+
+    @property
+    def commanded(self) -> BoolArray:
+        """Which of the N aircraft take commands."""
+        array = self._world.array_commands
+        return np.zeros(len(self._world.names), dtype=bool) if array is None else array.commanded
+
+    def _begin(self) -> float:
+        """Fly to the first tick, and return its time, s."""
+        self._flight.settle()
         self._begun_s = time.perf_counter()
+        return self.advance(-math.inf)
+
+    def reset(self, scenario: Scenario) -> bool:
+        """Return to the start of a scenario with this one's world but for the seed.
+
+        Returns:
+            Whether this is possible; false: nothing has changed.
+        """
+        seed, world = scenario.scenario.seed, self._world
+        if self._built is None or (seed != self._seed and world.make_of_seed is None):
+            return False
+        is_same = seed == self.scenario.scenario.seed
+        self.scenario, self.outcome = scenario, None
+        if is_same and self._start is not None:
+            self._start.restore()
+            self._begun_s = time.perf_counter()
+            self.time_s = self._flight.time_s
+            return True
+        self._built.restore()
+        if seed != self._seed:
+            world.reseed(seed)
+        self._meter.begin(replace(world.info, seed=seed))
+        self.time_s = self._begin()
+        self._start = self._save() if is_same else None  # the next is likely the same
+        return True
 
     def advance(self, until_s: float) -> float:
         """Fly to the first tick at or after a time, s, or to the end; return the time there."""
-        self._flight.pause_at(until_s)
-        for time_s in self._ticks:
-            return time_s
-        self.outcome = self._flight.ending
-        return self._flight.last_s
+        if not self._flight.fly_to(until_s):
+            self.outcome = self._flight.ending
+        return self._flight.time_s
 
     def metrics(self) -> Metrics:
         """Return the metrics up to now."""

@@ -10,6 +10,7 @@ import time
 import warnings
 import weakref
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NoReturn, Self, SupportsIndex, TypeAlias
 
@@ -20,7 +21,8 @@ from testbed.commands.autopilot_session import MANUAL_ANGLE_LIMIT
 from testbed.core.compile import reporting
 from testbed.core.errors import InputError, NotCopiedError
 from testbed.core.records import Event, FbwaCommand, Observer, RunInfo, Sample
-from testbed.flight.loop import Flight, NeverEnded
+from testbed.core.saved_state import SavedState
+from testbed.flight.loop import Flight
 from testbed.flight.stages import UserStage, check_stages
 from testbed.flight.world import World
 from testbed.logs.file_record import record_files
@@ -144,8 +146,8 @@ class Simulation:
         self._array = world.array_commands
         self._period = world.clock.autopilot
         self._begun_s = time.perf_counter()
-        self._ticks = self._flight.ticks(NeverEnded())
-        self.time_s = next(self._ticks)
+        self._flight.fly_to(-math.inf)
+        self.time_s = self._flight.time_s
         return self.state
 
     def _open_directory(self, world: World) -> Path | None:
@@ -198,11 +200,46 @@ class Simulation:
         for log in self._unclosed:
             log.check_process()
         clock = self._world.clock
-        self._flight.pause_at(due if math.isinf(due) else clock.time_s(int(due)))
-        try:
-            self.time_s = next(self._ticks)
-        except StopIteration:
-            self.outcome, self.time_s = self._flight.ending, self._flight.last_s
+        if not self._flight.fly_to(due if math.isinf(due) else clock.time_s(int(due))):
+            self.outcome = self._flight.ending
+        self.time_s = self._flight.time_s
+
+    def save(self) -> SavedFlight:
+        """Save the flight as it is now, for `restore`.
+
+        Raises:
+            InputError: a part of the flight is outside Python: a log, a viewer, flight models of
+                JSBSim, or an object of a law or an observer that cannot be copied.
+        """
+        if self.directory is not None:
+            raise InputError(f"{self.directory}: a flight that writes files cannot be saved")
+        models = self._world.fleet
+        if models is not None and models.engine != "compiled":
+            raise InputError(
+                "engine: jsbsim: the flight models are outside Python, so that the flight cannot be "
+                "saved (write scenario.engine=compiled into the overrides)"
+            )
+        parts = {"stages": self._stages, "observers": self._further}
+        state = SavedState(flight=self._flight, meter=self._meter, events=self.events, **parts)
+        return SavedFlight(self._flight, state, self.time_s, self.outcome)
+
+    def restore(self, saved: SavedFlight) -> Sample:
+        """Return to a saved moment of this flight, any number of times, and return the state there.
+
+        The flight goes on from there as it did, to the bit, or otherwise, as other commands let
+        it. `reset` begins another flight, to which this one's moments do not belong.
+
+        Raises:
+            InputError: `saved` is of another flight.
+        """
+        if not isinstance(saved, SavedFlight) or saved.flight is not self._flight:
+            raise InputError(
+                "saved: is not of this flight (write what save() of this Simulation has returned "
+                "since its last reset)"
+            )
+        saved.state.restore()
+        self.time_s, self.outcome = saved.time_s, saved.outcome
+        return self.state
 
     @property
     def state(self) -> Sample:
@@ -311,6 +348,23 @@ def _finish_log(unclosed: list[McapRecorder], process: int) -> None:
             stacklevel=1,
         )
         recorder.close()
+
+
+@dataclass(frozen=True, eq=False)
+class SavedFlight:
+    """A moment of a flight of a `Simulation`.
+
+    Attributes:
+        flight: to which it belongs.
+        state: of its parts.
+        time_s: s, of the tick.
+        outcome: how the flight had ended; None: it had not.
+    """
+
+    flight: Flight = field(repr=False)
+    state: SavedState = field(repr=False)
+    time_s: float
+    outcome: str | None
 
 
 class StepArguments(Section):
