@@ -34,6 +34,7 @@ class Atmosphere:
 
     Attributes:
         steady: the mean wind of the start is all there ever is, everywhere.
+        is_random: there is turbulence.
         steps: of `sample_wind`, after `bind`.
     """
 
@@ -52,6 +53,7 @@ class Atmosphere:
         self._dryden, self._wakes = dryden, wakes
         self._local_wind = make_local_wind(airframes)
         varies = gusts is not None or bool(field or dryden or wakes)
+        self.is_random = bool(field or dryden)
         self.steady = mean.steady and mean.uniform and not varies
 
     def bind(self, aircraft: Records) -> None:

@@ -80,10 +80,14 @@ def allocate(dtype: np.dtype[Any], *shape: int) -> Records:
     return records.view(np.recarray) if _DEBUG else records
 
 
-def row_alone(records: Records, row: int) -> Records:
-    """View a row of records (R, ...) as an array that does not know of the others."""
-    alone = np.ndarray(records.shape[1:], records.dtype, memoryview(records.view(np.uint8)[row]))
-    return alone.view(np.recarray) if _DEBUG else alone
+def allocate_rows(dtype: np.dtype[Any], rows: int, *shape: int) -> tuple[Records, list[Records]]:
+    """Allocate records (R, ...), all zero, and an array for each row that is no view of them all."""
+    memory = bytearray(rows * math.prod(shape) * dtype.itemsize)
+    each = len(memory) // rows
+    arrays = [np.ndarray((rows, *shape), dtype, memory)]
+    arrays += [np.ndarray(shape, dtype, memory, row * each) for row in range(rows)]
+    whole, *alone = [array.view(np.recarray) if _DEBUG else array for array in arrays]
+    return whole, alone
 
 
 def fields_of(kind: type[_RecordT], records: Records, **others: Any) -> _RecordT:  # noqa: ANN401

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import TypeAlias
@@ -307,13 +308,19 @@ class Flight:
     def fly_to(self, until_s: float) -> bool:
         """Fly on to the first tick at or after a time, s, after `prepare`.
 
-        The estimates of that tick are written, its control comes with the next call; `ending` is
-        the outcome when the flight has ended.
+        The estimates of that tick are written, its control comes with the next call. A flight that
+        ends within a period of the autopilots after it is flown to its end; `ending` is then the
+        outcome.
 
         Returns:
             Whether the flight goes on.
         """
         self._until_s[0] = until_s
+        if math.isfinite(until_s):
+            clock = self._world.clock
+            due = clock.first_tick(until_s)
+            ends = due + clock.autopilot > self._last_tick  # before a command could act
+            self._until_s[0] = math.inf if ends else clock.time_s(due)
         return self._advance(self._paused_loop, NeverEnded())
 
     @property
@@ -363,10 +370,14 @@ class Flight:
         Args:
             now: its time, s.
         """
+        self.write_observed(now)
+        return self._sample._replace(tick=self._world.clock.ticks(now), time_s=now)
+
+    def write_observed(self, now: float) -> None:
+        """Write air data, slots and errors, which stages write at the log rate, at a time, s."""
         self._read_air()
         if self._formation is not None:
             self._formation.write_slots(now)
-        return self._sample._replace(tick=self._world.clock.ticks(now), time_s=now)
 
     @property
     def outcome(self) -> str:

@@ -92,6 +92,10 @@ class Clock:
         """Return the number of ticks in a duration, rounded to the nearest."""
         return round(duration_s * self.base_rate_hz)
 
+    def first_tick(self, time_s: float) -> int:
+        """Return the first tick at or after a time, s; the tolerance keeps rounding from the next."""
+        return math.ceil(time_s * self.base_rate_hz - 1e-6)
+
     def schedule(self, duration_s: float, *, all_motions: bool = False) -> Iterator[Scheduled]:
         """Yield the ticks up to the duration at which something happens.
 

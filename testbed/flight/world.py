@@ -135,6 +135,7 @@ class World:
     initial_events: tuple[Event, ...]  # from before the flight
     info: RunInfo
     entries: tuple[Arguments, ...]  # that step them
+    is_random: bool = True  # numbers may depend on the seed
     # Makes what depends on the seed alone, for another seed; in the order of `of_seed`
     make_of_seed: Callable[[int], tuple[object, ...]] | None = None  # None: more depends on it
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -69,6 +70,11 @@ class MetricsObserver:
         self._events = []
         if self._buffer is None:
             self.share(len(info.names))
+
+    def reseed(self, seed: int) -> None:
+        """Set the seed that the summary shows, after `begin`."""
+        assert self._info is not None, "the run has begun"
+        self._info = replace(self._info, seed=seed)
 
     def observe(self, sample: Sample) -> None:
         """Copy what is measured; accumulate the block when it is full."""

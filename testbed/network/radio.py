@@ -61,6 +61,7 @@ class Radio:
         losses: besides those of the links' random numbers.
         encoding: as frames of bytes; None: messages arrive with every digit.
         clocks: (N,) of CLOCK, which stamp messages; None: all are exact.
+        links: (n, N) of LINK, of zeros, to be used; None: new ones.
 
     Attributes:
         links: (n, N) of LINK, the newest message received of each aircraft, and counters.
@@ -80,6 +81,7 @@ class Radio:
         losses: ExtraLosses | None = None,
         encoding: Encoding | None = None,
         clocks: Records | None = None,
+        links: Records | None = None,
     ) -> None:
         """See the class."""
         n, aircraft = channel.links.shape
@@ -90,7 +92,7 @@ class Radio:
         self._links, self.statistics = initial_links(channel), initial_statistics(n, aircraft)
         self._transmitters = initial_transmitters(aircraft, clocks)
         self.packets = self._links["packet"]
-        self.links = allocate(LINK, n, aircraft)
+        self.links = allocate(LINK, n, aircraft) if links is None else links
         for name in (*Inbox._fields, "measured_s"):
             self.links[name] = np.nan
         self.links["number"] = NO_MESSAGE
@@ -112,6 +114,13 @@ class Radio:
             self._enqueue = bind_entry(
                 enqueue_broadcast, self._links, self._transmitters, like=like
             )
+
+    @property
+    def is_random(self) -> bool:
+        """Whether outcomes may depend on the seed."""
+        slot = self._channel.links["slot"]
+        random = self._channel.links["random"].any() or (slot[..., 0] != slot[..., 1]).any()
+        return bool(random or self._losses.trace or self._losses.fading)
 
     @property
     def _received(self) -> tuple[Records, ...]:

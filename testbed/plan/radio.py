@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from testbed.core.records import Array, NedOrigin, VehicleState
+from testbed.core.records import Array, NedOrigin, Records, VehicleState
 from testbed.mavlink.follow_target import FollowTarget
 from testbed.network.channel import make_channel
 from testbed.network.clocks import make_clocks
@@ -20,7 +20,12 @@ from testbed.scenario.network import Network
 
 
 def build_radio(
-    names: Sequence[str], network: Network, weights: Array, origin: NedOrigin, seed: int
+    names: Sequence[str],
+    network: Network,
+    weights: Array,
+    origin: NedOrigin,
+    seed: int,
+    links: Records | None = None,
 ) -> tuple[Radio, Outages]:
     """Build the radio of N aircraft, and its scripted outages.
 
@@ -30,6 +35,7 @@ def build_radio(
         weights: β (n, N, 3): a follower may receive only those for which it has some.
         origin: of the local frame.
         seed: of the run.
+        links: (n, N) of LINK, of zeros, to be used; None: new ones.
 
     Raises:
         InputError: a file of delays or a trace cannot be used.
@@ -51,7 +57,7 @@ def build_radio(
         subscribed = np.any(weights != 0.0, axis=2)
         subscribed[:, 0] = True
     channel = make_channel(pairs, seed, subscribed)
-    return Radio(channel, losses, encoding, clocks), outages
+    return Radio(channel, losses, encoding, clocks, links), outages
 
 
 def transmit_times(

@@ -82,11 +82,13 @@ class RowRecords(NamedTuple):
     Attributes:
         aircraft: (N,) of AIRCRAFT.
         followers: (n,) of FOLLOWER.
+        links: (n, N) of LINK.
         commands: (N,) of COMMAND, of a program in this process.
     """
 
     aircraft: Records
     followers: Records
+    links: Records
     commands: Records
 
 
@@ -137,9 +139,9 @@ def build(
     starts = build_starts(fleet, leader, mean_wind)
     n = len(names)
     if records is None:
-        own = allocate(AIRCRAFT, n), allocate(FOLLOWER, n - 1), allocate(COMMAND, n)
-        records = RowRecords(*own)
-    aircraft, followers, commands = records
+        own = allocate(AIRCRAFT, n), allocate(FOLLOWER, n - 1), allocate(LINK, n - 1, n)
+        records = RowRecords(*own, allocate(COMMAND, n))
+    aircraft, followers, links, commands = records
     write_fields(aircraft["faults"], no_faults(len(names)))
     air = _build_air(scenario, fleet, mean_wind, height, clock, seed)
     if not air.steady:
@@ -160,7 +162,7 @@ def build(
     )
     jsbsim, on_failure = vehicles.jsbsim, scenario.formation.on_failure
     control = build_control(fleet, scenario.controller, clock)
-    radio, outages = build_radio(names, scenario.network, fleet.weights, origin, seed)
+    radio, outages = build_radio(names, scenario.network, fleet.weights, origin, seed, links)
     faults = build_faults(fleet, vehicles.fleet, on_failure.declared_after_s)
     external, array = None, None
     if in_process:
@@ -248,6 +250,7 @@ def build(
         ),
         entries=registered(),
         make_of_seed=make_of_seed if rates.synchronous else None,
+        is_random=air.is_random or radio.is_random or not (estimators.exact and rates.synchronous),
     )
 
 

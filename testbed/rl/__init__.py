@@ -17,11 +17,21 @@ with needs_extra("rl", "environments"):
 if TYPE_CHECKING:
     from testbed.rl.formation import FormationEnv
     from testbed.rl.hold_slot import HoldSlotEnv
+    from testbed.rl.vector import FormationVectorEnv, HoldSlotVectorEnv
 
-__all__ = ["FormationEnv", "HoldSlotEnv"]
-_MODULES = {"FormationEnv": "testbed.rl.formation", "HoldSlotEnv": "testbed.rl.hold_slot"}
+__all__ = ["FormationEnv", "FormationVectorEnv", "HoldSlotEnv", "HoldSlotVectorEnv"]
+_MODULES = {
+    "FormationEnv": "testbed.rl.formation",
+    "FormationVectorEnv": "testbed.rl.vector",
+    "HoldSlotEnv": "testbed.rl.hold_slot",
+    "HoldSlotVectorEnv": "testbed.rl.vector",
+}
 
-gymnasium.register(id="testbed/HoldSlot-v0", entry_point="testbed.rl.hold_slot:HoldSlotEnv")
+gymnasium.register(
+    id="testbed/HoldSlot-v0",
+    entry_point="testbed.rl.hold_slot:HoldSlotEnv",
+    vector_entry_point="testbed.rl.vector:HoldSlotVectorEnv",
+)
 
 
 def __getattr__(name: str) -> Any:  # noqa: ANN401 - classes of libraries without types

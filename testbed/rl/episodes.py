@@ -18,11 +18,7 @@ from pydantic import Field
 from testbed.commands.autopilot_session import MANUAL_ANGLE_LIMIT
 from testbed.core.errors import InputError
 from testbed.core.files import report_write_errors
-from testbed.core.records import (
-    Array,
-    FbwaCommand,
-    Sample,
-)
+from testbed.core.records import Array, FbwaCommand, Indices, Records, UIntArray
 from testbed.core.velocity_frame import velocity_frame
 from testbed.flight.world import World
 from testbed.runs.simulation import Simulation
@@ -94,71 +90,83 @@ def action_space() -> Box:
 
 
 class CommandRange(NamedTuple):
-    """Commands of a follower for the actions -1, 0 and 1; linear between them.
+    """Commands of followers (...,) for the actions -1, 0 and 1; linear between them.
 
     Each has pitch and roll (rad) and throttle (0..1).
     """
 
-    lowest: Array  # (3,)
-    trim: Array  # (3,) level flight at the airspeed of the start
-    highest: Array  # (3,)
+    lowest: Array  # (..., 3)
+    trim: Array  # (..., 3) level flight at the airspeed of the start
+    highest: Array  # (..., 3)
 
-    def command(self, action: Array) -> FbwaCommand[float]:
-        """Return the command of an action (3,), limited to -1..1."""
-        part = np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0)
+    def commands(self, actions: Array) -> Array:
+        """Return the commands (..., 3) of actions, limited to -1..1."""
+        part = np.clip(np.asarray(actions, dtype=np.float64), -1.0, 1.0)
         span = np.where(part < 0.0, self.trim - self.lowest, self.highest - self.trim)
-        return FbwaCommand._make((self.trim + part * span).tolist())
+        commands: Array = self.trim + part * span
+        return commands
 
 
-class Slot(NamedTuple):
-    """The slot of a follower."""
+class Slots(NamedTuple):
+    """The slots of m followers in each of K flights."""
 
-    offsets: Array  # (N, 3) m, forward, right, down in the leader's velocity frame, by slot
-    altitude: float  # m above the origin, of the horizontal variant of the law; NaN: none
+    offsets: Array  # (K, N, 3) m, forward, right, down in the leader's velocity frame, by slot
+    altitudes: Array  # (K, m) m above the origin, of the horizontal variant; NaN: none
 
 
 def observe(
-    sample: Sample, row: int, slot: Slot, airspeed: float, action: Vector, *, nearest: bool
+    own: Records,
+    links: Records,
+    time_s: Array,
+    where: tuple[Indices, UIntArray, Slots],
+    airspeeds: Array,
+    actions: Vector,
+    *,
+    nearest: bool,
 ) -> Vector:
-    """Compute the observation of a follower from its own estimate and the messages it received.
+    """Compute what m followers in each of K flights observe: own estimates, messages received.
 
     Args:
-        sample: the present state.
-        row: of the follower among the N aircraft.
-        slot: of the follower.
-        airspeed: at the start, m/s.
-        action: (3,) the last one.
+        own: (K, m) of MOTION, their estimates.
+        links: (K, m, N) of LINK, the newest messages that they have received.
+        time_s: (K,) s, of the flights.
+        where: their rows (m,) among the N aircraft, the slots that they have (K, m), and all slots.
+        airspeeds: (K, m) m/s, at the start.
+        actions: (K, m, 3) the last ones.
         nearest: add the components `NEAREST`.
 
     Returns:
-        (k,) of `OWN`, then of `NEAREST`; a value that is not finite is 0.
+        (K, m, c) of `OWN`, then of `NEAREST`; a value that is not finite is 0.
     """
-    assert sample.records is not None
-    links = sample.records[2][row - 1]
-    own = sample.estimate
-    position, velocity = own.position_ned[row], own.velocity_ned[row]
-    course_frame = velocity_frame(velocity[None] * (1.0, 1.0, 0.0))[0]
-    age = sample.time_s - links["stamp_s"]  # (N,) NaN: no message
-    received_ned = links["position_ned"] + age[:, None] * links["velocity_ned"]  # (N, 3)
-    leader_velocity = links["velocity_ned"][0]
-    where = _slot_ned(sample, row, slot, received_ned[0], leader_velocity)
+    position, velocity = own["position_ned"], own["velocity_ned"]
+    frames = _frames(velocity * (1.0, 1.0, 0.0))
+
+    def resolve(vectors: Array) -> Array:
+        resolved: Array = (vectors[..., np.newaxis, :] @ frames)[..., 0, :]
+        return resolved
+
+    age = time_s[:, np.newaxis, np.newaxis] - links["stamp_s"]  # (K, m, N) NaN: no message
+    received_ned = links["position_ned"] + age[..., np.newaxis] * links["velocity_ned"]
+    leader_velocity = links["velocity_ned"][..., 0, :]
+    slots_ned = _slots_ned(where, received_ned[..., 0, :], leader_velocity)
     values = [
-        (where - position) @ course_frame,
-        (leader_velocity - velocity) @ course_frame,
-        links["acceleration_ned"][0] @ course_frame,
-        own.euler[row, :2],
-        (own.airspeed[row] - airspeed,),
-        own.rates_body[row],
-        (age[0],),
-        action,
+        resolve(slots_ned - position),
+        resolve(leader_velocity - velocity),
+        resolve(links["acceleration_ned"][..., 0, :]),
+        own["euler"][..., :2],
+        (own["airspeed"] - airspeeds)[..., np.newaxis],
+        own["rates_body"],
+        age[..., :1].copy(),
+        actions,
     ]
-    if np.isnan(age[0]):
-        values[0] = values[1] = values[2] = np.zeros(3)
-        values[6] = (_BOUNDS[_AGE],)
+    missing = np.isnan(age[..., 0])
+    for each in values[:3]:
+        each[missing] = 0.0
+    values[6][missing] = _BOUNDS[_AGE]
     if nearest:
-        values.append(_nearest(received_ned, row, position) @ course_frame)
-    flat = np.concatenate(values)
-    limited = np.clip(flat / _BOUNDS[: len(flat)], -1.0, 1.0)
+        values.append(resolve(_nearest(received_ned, where[0], position)))
+    flat = np.concatenate(values, axis=-1)
+    limited = np.clip(flat / _BOUNDS[: flat.shape[-1]], -1.0, 1.0)
     observation: Vector = np.nan_to_num(limited).astype(np.float32)
     return observation
 
@@ -167,25 +175,34 @@ _BOUNDS = np.array([each.bound for each in (*OWN, *NEAREST)])
 _AGE = [each.name for each in OWN].index("message_age")
 
 
-def _slot_ned(sample: Sample, row: int, slot: Slot, leader: Array, velocity: Array) -> Array:
-    """Return the position of the slot (3,), m, behind a leader at a position with a velocity."""
-    holds_altitude = not np.isnan(slot.altitude)
-    level = velocity * (1.0, 1.0, 0.0) if holds_altitude else velocity
-    offset = slot.offsets[sample.formation.slot_index[row - 1]]
-    where: Array = leader + velocity_frame(level[None])[0] @ offset
-    if holds_altitude:
-        where[2] = -slot.altitude
-    return where
+def _frames(velocity: Array) -> Array:
+    """Return the velocity frames (K, m, 3, 3) of velocities (K, m, 3), m/s."""
+    return velocity_frame(velocity.reshape(-1, 3)).reshape(*velocity.shape, 3)
 
 
-def _nearest(received_ned: Array, row: int, position: Array) -> Array:
-    """Return the nearest other follower, relative to a position (3,), m; the bound: none."""
-    relative = np.delete(received_ned, (0, row), axis=0) - position
-    distance = np.linalg.norm(relative, axis=1)
-    if not np.isfinite(distance).any():
-        return np.full(3, NEAREST[0].bound)
-    found: Array = relative[np.nanargmin(distance)]
-    return found
+def _slots_ned(where: tuple[Indices, UIntArray, Slots], leader: Array, velocity: Array) -> Array:
+    """Return the positions of slots (K, m, 3), m, behind leaders at positions with velocities."""
+    _, index, slots = where
+    holds_altitude = ~np.isnan(slots.altitudes)
+    level = np.where(holds_altitude[..., np.newaxis], velocity * (1.0, 1.0, 0.0), velocity)
+    offsets = slots.offsets[np.arange(len(index))[:, np.newaxis], index]
+    there: Array = leader + (_frames(level) @ offsets[..., np.newaxis])[..., 0]
+    there[..., 2] = np.where(holds_altitude, -slots.altitudes, there[..., 2])
+    return there
+
+
+def _nearest(received_ned: Array, rows: Indices, position: Array) -> Array:
+    """Return the nearest other followers (K, m, 3), relative to positions, m; the bound: none."""
+    relative = received_ned - position[..., np.newaxis, :]  # (K, m, N, 3)
+    relative[..., 0, :] = np.nan
+    relative[:, np.arange(len(rows)), rows] = np.nan
+    distance = np.linalg.norm(relative, axis=-1)
+    distance[np.isnan(distance)] = np.inf
+    found = np.argmin(distance, axis=-1)
+    near = np.take_along_axis(relative, found[..., np.newaxis, np.newaxis], axis=2)[..., 0, :]
+    none = np.isinf(distance.min(axis=-1))
+    near[none] = NEAREST[0].bound
+    return near
 
 
 Ranges = Mapping[str, "tuple[float, float] | list[Any]"]
@@ -336,11 +353,10 @@ class Episodes:
             InputError: the seed or a drawn value cannot be flown. The present episode then goes
                 on.
         """
-        drawn = {key: _draw(generator, each) for key, each in self._drawn_from.items()}
-        scenario = self._commanded(self._resolve(drawn))
+        scenario, drawn = self.draw(generator)
         simulation = _Episode(scenario, seed, self._create_directory if self._folder else None)
         airspeeds = simulation.state.truth.airspeed.copy()
-        ranges = _command_ranges(scenario, simulation, self.agents)
+        ranges = command_ranges(scenario, simulation.commands)
         state = simulation.step()  # one tick at the trim: the first messages arrive
         if simulation.outcome is not None:
             texts = [each.text for each in simulation.events]
@@ -351,11 +367,21 @@ class Episodes:
         self.close()
         self.simulation, self.state, self.drawn = simulation, state, drawn
         self._steps = 0
-        self._ranges, self._slots, self._airspeeds = ranges, _slots(scenario), airspeeds
+        self._ranges, self._airspeeds = ranges, airspeeds
+        self._slots = {name: slots_of([scenario], [name]) for name in self.agents}
         self._begun_s = simulation.time_s
         self._actions = {name: np.zeros(len(ACTIONS), np.float32) for name in self.agents}
         self._changes = dict.fromkeys(self.agents, 0.0)
         self._errors: dict[str, list[float]] = {name: [] for name in self.agents}
+
+    def draw(self, generator: np.random.Generator) -> tuple[Scenario, dict[str, Any]]:
+        """Return the scenario of an episode, and the values of `randomize` in it.
+
+        Raises:
+            InputError: a drawn value is wrong.
+        """
+        drawn = {key: _draw(generator, each) for key, each in self._drawn_from.items()}
+        return self._commanded(self._resolve(drawn)), drawn
 
     def step(self, actions: Mapping[str, Vector]) -> None:
         """Fly one control period.
@@ -372,7 +398,10 @@ class Episodes:
         flight = self._flight
         still = np.zeros(len(ACTIONS), np.float32)
         checked = {name: _checked_action(name, actions.get(name, still)) for name in self.agents}
-        commands = {name: self._ranges[name].command(each) for name, each in checked.items()}
+        commands = {
+            name: FbwaCommand._make(self._ranges[name].commands(each).tolist())
+            for name, each in checked.items()
+        }
         self.state = flight.step(commands, until=self._begun_s + (self._steps + 1) * self._period_s)
         self._steps += 1
         for name, each in checked.items():
@@ -383,16 +412,21 @@ class Episodes:
             self._errors[name].append(self.error_m(name))
 
     def observation(self, name: str) -> Vector:
-        """Return what a follower observes; see `spaces.observe`."""
-        row = self._rows[name]
-        return observe(
-            self.state,
-            row,
-            self._slots[row],
-            self._airspeeds[row],
-            self._actions[name],
+        """Return what a follower observes; see `observe`."""
+        records = self.state.records
+        assert records is not None, "a sample of a flight has them"
+        aircraft, followers, links = records
+        row = np.array([self._rows[name]])
+        observed: Vector = observe(
+            aircraft["estimate"][np.newaxis, row],
+            links[np.newaxis, row - 1],
+            np.array([self.state.time_s]),
+            (row, followers["slot_index"][np.newaxis, row - 1], self._slots[name]),
+            self._airspeeds[np.newaxis, row],
+            self._actions[name][np.newaxis, np.newaxis],
             nearest=self._nearest,
         )
+        return observed[0, 0]
 
     def error_m(self, name: str) -> float:
         """Return the distance of a follower from its slot, m."""
@@ -485,13 +519,13 @@ class Episodes:
         return set_duration(changed, self.task.duration_s)
 
 
-def _command_ranges(
-    scenario: Scenario, simulation: Simulation, agents: Sequence[str]
+def command_ranges(
+    scenario: Scenario, trims: Mapping[str, Sequence[float]]
 ) -> dict[str, CommandRange]:
-    """Return the commands of each follower: the middle loop's limits around its trim."""
+    """Return the commands of followers: the middle loop's limits around their trims."""
     ranges = {}
     for each in scenario.fleet:
-        if each.name in agents:
+        if each.name in trims:
             limits = middle_loop_gains(scenario, each.aircraft).limits
             pitch, roll = (
                 min(math.radians(limit), MANUAL_ANGLE_LIMIT)
@@ -499,7 +533,7 @@ def _command_ranges(
             )
             ranges[each.name] = CommandRange(
                 np.array([-pitch, -roll, 0.0]),
-                np.array(simulation.commands[each.name]),
+                np.array(trims[each.name]),
                 np.array([pitch, roll, 1.0]),
             )
     return ranges
@@ -574,14 +608,12 @@ def _draw(generator: np.random.Generator, values: tuple[float, float] | list[Any
     return float(generator.uniform(*values))
 
 
-def _slots(scenario: Scenario) -> dict[int, Slot]:
-    """Return the slots of the followers, by their rows among the N aircraft."""
-    formation, names = scenario.formation, scenario.aircraft_names[1:]
-    offsets = np.array([(0.0, 0.0, 0.0), *(formation.offsets_m[name] for name in names)])
-    return {
-        row: Slot(offsets, formation.altitudes_m.get(name, math.nan))
-        for row, name in enumerate(names, start=1)
-    }
+def slots_of(scenarios: Sequence[Scenario], followers: Sequence[str]) -> Slots:
+    """Return the slots of some followers of scenarios with the same aircraft."""
+    names, formations = scenarios[0].aircraft_names[1:], [each.formation for each in scenarios]
+    offsets = [[(0.0, 0.0, 0.0), *(one.offsets_m[name] for name in names)] for one in formations]
+    altitudes = [[one.altitudes_m.get(name, math.nan) for name in followers] for one in formations]
+    return Slots(np.array(offsets), np.array(altitudes))
 
 
 def refuse_render_mode(mode: object) -> None:

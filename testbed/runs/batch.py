@@ -9,7 +9,7 @@ import time
 import weakref
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from typing import TypeAlias
 
 import numpy as np
 
@@ -20,11 +20,11 @@ from testbed.core.records import (
     AIRCRAFT,
     COMMAND,
     FOLLOWER,
+    LINK,
+    Array,
     BoolArray,
     Event,
-    FbwaCommand,
-    allocate,
-    row_alone,
+    allocate_rows,
 )
 from testbed.core.saved_state import SavedState
 from testbed.flight.loop import Flight
@@ -38,6 +38,7 @@ from testbed.scenario.aircraft import ArduPlane
 from testbed.scenario.arguments import check_argument, check_count, check_overrides
 from testbed.scenario.validate import shown_value
 
+Flown: TypeAlias = "Scenario | str | os.PathLike[str]"
 _PARTS = 4  # of the rows, for each thread
 _ANGLES = -MANUAL_ANGLE_LIMIT, MANUAL_ANGLE_LIMIT
 _BOUNDS = {"pitch": _ANGLES, "roll": _ANGLES, "throttle": (0.0, 1.0)}  # of commands
@@ -50,7 +51,7 @@ class Batch:
     same time. Nothing is written.
 
     Args:
-        scenario: a scenario, or the name or path of one.
+        scenario: a scenario, or the name or path of one; or the scenario of each row.
         overrides: `key=value` as for `--set`, for all rows; only with a name or path.
         seeds: of the rows; None: that of the scenario for each of `rows`.
         rows: for each row `key=value` of its own; only with a name or path. None: none.
@@ -62,6 +63,7 @@ class Batch:
         names: of all N aircraft, the leader first.
         aircraft: (R, N) of AIRCRAFT, live.
         followers: (R, n) of FOLLOWER, live.
+        links: (R, n, N) of LINK, live: the newest message of each aircraft, and counters.
         commands: (R, N) of COMMAND: fly-by-wire-A commands in rad, rad and 0..1, of aircraft with
             `commanded_by: external`; first their trim.
         times_s: (R,) s, of the present ticks.
@@ -73,7 +75,7 @@ class Batch:
 
     def __init__(
         self,
-        scenario: Scenario | str | os.PathLike[str],
+        scenario: Flown | Sequence[Scenario],
         overrides: Sequence[str] = (),
         *,
         seeds: Sequence[int] | None = None,
@@ -95,42 +97,48 @@ class Batch:
                         f"{one.name} has autopilot: ardupilot (fly it with testbed.run)"
                     )
         size, n = len(self.scenarios), len(self.names)
-        self.aircraft = allocate(AIRCRAFT, size, n)
-        self.followers = allocate(FOLLOWER, size, n - 1)
-        self.commands = allocate(COMMAND, size, n)
+        self.aircraft, aircraft = allocate_rows(AIRCRAFT, size, n)
+        self.followers, followers = allocate_rows(FOLLOWER, size, n - 1)
+        self.links, links = allocate_rows(LINK, size, n - 1, n)
+        self.commands, commands = allocate_rows(COMMAND, size, n)
+        arrays = zip(aircraft, followers, links, commands, strict=True)
+        self._records = [RowRecords(*each) for each in arrays]
         self.outcomes: list[str | None] = [None] * size
         with reporting(compiling):
             self._rows = [self._build(row) for row in range(size)]
         self.times_s = np.array([each.time_s for each in self._rows])
-        commands = [(name, *_BOUNDS[name]) for name in FbwaCommand._fields]
         self._commanded = np.array([each.commanded for each in self._rows])
-        self._bounds = commands if self._commanded.any() else []
 
     def _build(self, row: int) -> _Row:
-        arrays = (row_alone(each, row) for each in (self.aircraft, self.followers, self.commands))
-        return _Row(self.scenarios[row], RowRecords(*arrays))
+        return _Row(self.scenarios[row], self._records[row])
 
     def __len__(self) -> int:
         """Return the number of rows."""
         return len(self.scenarios)
 
-    def step(self, until: float) -> None:
+    def step(self, until: float | Sequence[float] | Array) -> None:
         """Fly all rows that have not ended to the first tick at or after a time.
 
         Args:
-            until: s, from 0 to a day; a row that is there already stays.
+            until: s, from 0 to a day; or (R,) of these. A row that is there already stays.
 
         Raises:
             InputError: `until` or a command is wrong. No row has then moved.
         """
-        self._advance(check_argument("until", until, StepArguments, "until"))
+        if isinstance(until, np.ndarray | list | tuple):
+            times = np.array(check_argument("until", until, StepArguments, "times"))
+            if len(times) != len(self):
+                raise InputError(f"until: has {len(times)} times (write {len(self)}, one per row)")
+        else:
+            times = np.full(len(self), check_argument("until", until, StepArguments, "until"))
+        self._advance(times)
 
     def run(self) -> list[Metrics]:
         """Fly all rows to their ends, and return the metrics of each, as in metrics.json."""
-        self._advance(math.inf)
+        self._advance(np.full(len(self), math.inf))
         return [self.metrics(row) for row in range(len(self))]
 
-    def _advance(self, until_s: float) -> None:
+    def _advance(self, until_s: Array) -> None:
         self._check_commands()
         earlier = self.times_s < until_s
         flying = [row for row in np.flatnonzero(earlier).tolist() if self.outcomes[row] is None]
@@ -147,14 +155,14 @@ class Batch:
         weakref.finalize(self, pool.shutdown, wait=False)
         return pool
 
-    def _fly(self, rows: Sequence[int], until_s: float) -> None:
+    def _fly(self, rows: Sequence[int], until_s: Array) -> None:
         for row in rows:
             each = self._rows[row]
-            self.times_s[row] = each.advance(until_s)
+            self.times_s[row] = each.advance(until_s[row])
             self.outcomes[row] = each.outcome
 
     def _check_commands(self) -> None:
-        for name, low, high in self._bounds:
+        for name, (low, high) in _BOUNDS.items() if self._commanded.any() else ():
             values = self.commands[name]
             wrong = ~((values >= low) & (values <= high)) & self._commanded
             if wrong.any():
@@ -196,7 +204,7 @@ class Batch:
 
     def _rebuild(self, row: int, scenario: Scenario) -> None:
         """Build a row anew; it stays as it is where that fails."""
-        arrays = self.aircraft[row], self.followers[row], self.commands[row]
+        arrays = self._records[row]
         before = [each.copy() for each in arrays], self.scenarios[row]
         for each in arrays:
             each[...] = 0
@@ -262,17 +270,18 @@ class _Row:
         seed, world = scenario.scenario.seed, self._world
         if self._built is None or (seed != self._seed and world.make_of_seed is None):
             return False
-        is_same = seed == self.scenario.scenario.seed
+        is_same = seed == self.scenario.scenario.seed or not world.is_random
         self.scenario, self.outcome = scenario, None
         if is_same and self._start is not None:
             self._start.restore()
+            self._meter.reseed(seed)
             self._begun_s = time.perf_counter()
             self.time_s = self._flight.time_s
             return True
         self._built.restore()
-        if seed != self._seed:
+        if seed != self._seed and world.is_random:
             world.reseed(seed)
-        self._meter.begin(replace(world.info, seed=seed))
+        self._meter.reseed(seed)
         self.time_s = self._begin()
         self._start = self._save() if is_same else None  # the next is likely the same
         return True
@@ -281,7 +290,9 @@ class _Row:
         """Fly to the first tick at or after a time, s, or to the end; return the time there."""
         if not self._flight.fly_to(until_s):
             self.outcome = self._flight.ending
-        return self._flight.time_s
+        time_s = self._flight.time_s
+        self._flight.write_observed(time_s)
+        return time_s
 
     def metrics(self) -> Metrics:
         """Return the metrics up to now."""
@@ -290,12 +301,19 @@ class _Row:
 
 
 def _row_scenarios(
-    scenario: Scenario | str | os.PathLike[str],
+    scenario: Flown | Sequence[Scenario],
     overrides: Sequence[str],
     seeds: Sequence[int] | None,
     rows: Sequence[Sequence[str]] | None,
 ) -> list[Scenario]:
     """Return the scenario of each row."""
+    if isinstance(scenario, list | tuple):
+        if overrides or rows is not None or not all(isinstance(e, Scenario) for e in scenario):
+            raise InputError("scenario: is a list (write scenarios alone, without overrides, rows)")
+        if not scenario or (seeds is not None and len(seeds) != len(scenario)):
+            raise InputError("seeds: write one seed for each scenario, and at least one scenario")
+        return [set_seed(e, seeds[k]) if seeds is not None else e for k, e in enumerate(scenario)]
+    assert not isinstance(scenario, Sequence) or isinstance(scenario, str), "else it is a list"
     texts = check_overrides("overrides", overrides)
     own = [()] if rows is None else [check_overrides(f"rows[{k}]", e) for k, e in enumerate(rows)]
     if seeds is not None and rows is None:

@@ -170,17 +170,15 @@ class Simulation:
         if self.outcome is not None:
             raise InputError(f"the flight has ended: {self.outcome} at {self.time_s:g} s; reset()")
         clock = self._world.clock
-        due: float = (clock.ticks(self.time_s) // self._period + 1) * self._period
+        due = (clock.ticks(self.time_s) // self._period + 1) * self._period
         if until is not None:
             if not (type(until) is float and 0.0 <= until <= MAX_DURATION_S):  # else it is right
                 until = check_argument("until", until, StepArguments, "until")
-            due = max(due, clock.ticks(until))
+            due = max(due, clock.first_tick(until))
         if commands is not None:
             for row, command in self._checked_commands(commands).items():
                 if self._array is not None:  # else no row has passed
                     self._array.commands[row] = command
-        if due + self._period > clock.ticks(self._world.duration_s):
-            due = math.inf  # the flight ends within the step
         try:
             self._advance(due)
         except BaseException:
@@ -195,12 +193,11 @@ class Simulation:
             )
         return {self._commandable(name): _checked(name, each) for name, each in commands.items()}
 
-    def _advance(self, due: float) -> None:
+    def _advance(self, due: int) -> None:
         """Fly to a tick of the base rate, or to the end."""
         for log in self._unclosed:
             log.check_process()
-        clock = self._world.clock
-        if not self._flight.fly_to(due if math.isinf(due) else clock.time_s(int(due))):
+        if not self._flight.fly_to(self._world.clock.time_s(due)):
             self.outcome = self._flight.ending
         self.time_s = self._flight.time_s
 
@@ -371,6 +368,7 @@ class StepArguments(Section):
     """Arguments of a step."""
 
     until: Instant = Field(description="Time of the flight, s.")
+    times: tuple[Instant, ...] = Field((), description="Times of some flights, s.")
 
 
 def flight_metrics(
