@@ -324,3 +324,10 @@ def _run_calls(addresses: Words, first: int, now: float, found: NDArray[np.int64
                 continue
         return number
     return len(addresses)
+
+
+@entry_beside_python
+def run_each(addresses: Words, found: NDArray[np.int64]) -> None:
+    """Run the calls at these addresses (K,), and write what each returns."""
+    for k in range(len(addresses)):
+        found[k] = call_words(addresses[k], 0.0)

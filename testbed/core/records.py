@@ -81,7 +81,7 @@ def allocate(dtype: np.dtype[Any], *shape: int) -> Records:
 
 
 def allocate_rows(dtype: np.dtype[Any], rows: int, *shape: int) -> tuple[Records, list[Records]]:
-    """Allocate records (R, ...), all zero, and an array for each row that is no view of them all."""
+    """Allocate records (R, ...), all zero, and an array of each row that is no view of them."""
     memory = bytearray(rows * math.prod(shape) * dtype.itemsize)
     each = len(memory) // rows
     arrays = [np.ndarray((rows, *shape), dtype, memory)]

@@ -9,14 +9,16 @@ from typing import TypeAlias
 
 import numpy as np
 
-from testbed.core.call_list import NOW, Call, run_steps
-from testbed.core.compile import prepare, registered, registering
+from testbed.core.call_list import NOW, Call, Step, run_steps
+from testbed.core.compile import is_interpreted, prepare, registered, registering
 from testbed.core.records import (
     AirData,
     FormationState,
     Observer,
+    Records,
     Sample,
     VehicleState,
+    allocate,
     fields_of,
     write_fields,
 )
@@ -35,22 +37,12 @@ from testbed.flight.stages import (
     insert_stages,
     make_stages,
 )
-from testbed.flight.steps import copy_truth, find_losses, has_events, is_reached
-from testbed.flight.tick_loop import LOOK_TICKS, TickInputs, TickLoop
+from testbed.flight.steps import copy_truth, find_losses, has_events
+from testbed.flight.tick_loop import ANY_TICKS, LOOK_TICKS, PLACE, TickInputs, TickLoop, pause
 from testbed.flight.world import World
 from testbed.vehicle.fleet import Move
 
 Ended: TypeAlias = Callable[[float, TickActions], bool]
-
-
-class NeverEnded:
-    """Let a flight go on to its end; see `Flight.fly`."""
-
-    each_tick = False
-
-    def __call__(self, now: float, due: TickActions) -> bool:
-        """Return false."""
-        return False
 
 
 PAUSE = "wait for the caller"  # name of the stage at which `Flight.fly_to` returns
@@ -75,7 +67,11 @@ class Flight:
 
     @registering()
     def __init__(
-        self, world: World, observers: Sequence[Observer], stages: Sequence[UserStage] = ()
+        self,
+        world: World,
+        observers: Sequence[Observer],
+        stages: Sequence[UserStage] = (),
+        place: Records | None = None,
     ) -> None:
         """Start before the first tick.
 
@@ -83,6 +79,7 @@ class Flight:
             world: that is flown.
             observers: of its samples.
             stages: of the user.
+            place: (1,) of PLACE, of `fly_to`; None: a new one.
 
         Raises:
             InputError: a stage of the user follows none of the flight's.
@@ -121,12 +118,17 @@ class Flight:
         self._loop = self._make_loop(self.stages)
         sense = [each for each in self.stages if each.part is Part.SENSE]
         rest = self.stages[len(sense) :]
-        self._until_s = np.full(1, -np.inf)
-        pause = Stage(Part.SENSE, StageRate.TICK, PAUSE, call=Call(is_reached, self._until_s, NOW))
-        self._paused_loop = self._make_loop((*sense, pause, *rest))
+        self._place = allocate(PLACE, 1) if place is None else place
+        self._place["until"] = -math.inf
+        self._observed = tuple(self._observed_steps())
+        calls = [each for each in self._observed if isinstance(each, Call)]
+        self._observed_calls = calls if len(calls) == len(self._observed) else []
+        self._addresses = np.zeros(len(self._observed_calls), dtype=np.uint64)
+        call = Call(pause, self._place, self._addresses, NOW)
+        stop = Stage(Part.SENSE, StageRate.TICK, PAUSE, call=call)
+        self._paused_loop = self._make_loop((*sense, stop, *rest), self._place)
         control = (each for each in rest if each.part is Part.CONTROL)
         self._steering = self._make_loop((*sense, *control))
-        self._is_paused = False
         clock, all_motions = world.clock, False
         if world.parts is not None:
             all_motions = world.parts.radio.needs_all_positions
@@ -134,8 +136,15 @@ class Flight:
         self._blocks = Replayed(partial(clock.blocks, all_motions=all_motions))
         self._entries = *world.entries, *registered()
 
-    def _make_loop(self, stages: Sequence[Stage]) -> TickLoop:
-        return TickLoop(stages, self._inputs, self._world.clock.base_rate_hz)
+    def _make_loop(self, stages: Sequence[Stage], place: Records | None = None) -> TickLoop:
+        return TickLoop(stages, self._inputs, self._world.clock.base_rate_hz, place)
+
+    def _observed_steps(self) -> Iterator[Step]:
+        """Yield what writes air data, slots and errors, as stages do at the log rate."""
+        for vehicles in self._world.vehicles:
+            yield from vehicles.air_steps
+        if self._formation is not None:
+            yield self._formation.write_slots
 
     def _make_stages(self) -> Iterator[Stage]:
         """Yield the stages of a tick."""
@@ -285,6 +294,9 @@ class Flight:
         for each in self.stages:
             if each.call is not None:
                 each.call.bind()
+        if not is_interpreted():
+            self._addresses[:] = [each.address for each in self._observed_calls]
+            self._paused_loop.bind()
 
     def settle(self) -> None:
         """Let the filters settle, after `compile`."""
@@ -315,42 +327,65 @@ class Flight:
         Returns:
             Whether the flight goes on.
         """
-        self._until_s[0] = until_s
-        if math.isfinite(until_s):
-            clock = self._world.clock
-            due = clock.first_tick(until_s)
-            ends = due + clock.autopilot > self._last_tick  # before a command could act
-            self._until_s[0] = math.inf if ends else clock.time_s(due)
-        return self._advance(self._paused_loop, NeverEnded())
+        self.set_pause(until_s)
+        return self.fly_on()
+
+    def set_pause(self, until_s: float) -> float:
+        """Set the time to which `fly_on` flies, see `fly_to`; return that of the tick, s."""
+        pause_s = self._world.clock.pause_s(until_s, self._last_tick)
+        self._place["until"] = pause_s
+        return pause_s
+
+    def fly_on(self, found: int | None = None) -> bool:
+        """Fly on to the time in the place; see `fly_to`.
+
+        Args:
+            found: what the call at `address` has returned, if it was made.
+        """
+        return self._advance(self._paused_loop, None, found)
+
+    @property
+    def address(self) -> int:
+        """Address of the call that flies up to the pause, or to what needs Python; see `fly_on`."""
+        return self._paused_loop.address
 
     @property
     def time_s(self) -> float:
         """Time of the tick to which `fly_to` has flown, s."""
         return self._paused_loop.time_s
 
-    def _advance(self, loop: TickLoop, ended: Ended) -> bool:
-        """Run blocks of ticks to the next pause, and return true, or to the end of the flight."""
+    def _advance(self, loop: TickLoop, ended: Ended | None, found: int | None = None) -> bool:
+        """Run blocks of ticks to the next pause, and return true, or to the end of the flight.
+
+        Args:
+            loop: of the stages.
+            ended: see `fly`; None: nothing ends the flight but itself.
+            found: see `TickLoop.run`.
+        """
         look = 1 if getattr(ended, "each_tick", True) else LOOK_TICKS
-        if self._is_paused:
-            loop.resume()
-            self._is_paused = False
         while True:
             while loop.in_block:
-                if ended(loop.time_s, loop.due):
+                if ended is not None and ended(loop.time_s, loop.due):
                     self.ending = "interrupted"
                     return False
-                loop.limit(look)
-                while (stage := loop.run()) is not None:
+                loop.limit(ANY_TICKS if ended is None else look)
+                while (stage := loop.run(found)) is not None:
+                    found = None
                     if stage.name == PAUSE:
-                        self._is_paused = True
+                        if is_interpreted() or not self._observed_calls:
+                            self.write_observed(loop.time_s)
                         return True
                     if stage.then is not None:
                         stage.then(loop.time_s)
-                        if look > 1 and self.ending is None and ended(loop.time_s, loop.due):
-                            self.ending = "interrupted"
-                    loop.resume(ending=self.ending is not None)
+                        if ended is not None and look > 1 and self.ending is None:
+                            if ended(loop.time_s, loop.due):
+                                self.ending = "interrupted"
+                    if self.ending is not None:
+                        loop.end()
+                found = None
             if loop.done:
                 self.ending = self.ending or self.outcome
+                self.write_observed(loop.time_s)
                 return False
             loop.load(*next(self._blocks), self._last_tick)
 
@@ -362,7 +397,6 @@ class Flight:
         while (stage := self._steering.run()) is not None:
             if stage.then is not None:
                 stage.then(now)
-            self._steering.resume()
 
     def sample(self, now: float) -> Sample:
         """Return the state at a tick that `ticks` has yielded, as views of the records.
@@ -370,14 +404,11 @@ class Flight:
         Args:
             now: its time, s.
         """
-        self.write_observed(now)
         return self._sample._replace(tick=self._world.clock.ticks(now), time_s=now)
 
     def write_observed(self, now: float) -> None:
-        """Write air data, slots and errors, which stages write at the log rate, at a time, s."""
-        self._read_air()
-        if self._formation is not None:
-            self._formation.write_slots(now)
+        """Write air data, slots and errors, as a pause does, at a time, s."""
+        run_steps(self._observed, now)
 
     @property
     def outcome(self) -> str:

@@ -16,6 +16,7 @@ from testbed.core.errors import InputError
 from testbed.core.records import Array, BoolArray
 
 BLOCK = 64  # rows of an irregular schedule at once
+_ROUNDING = 1e-6  # of a tick
 PHASE_HZ = 100  # phases of unsynchronised aircraft are multiples of its period
 
 
@@ -93,8 +94,19 @@ class Clock:
         return round(duration_s * self.base_rate_hz)
 
     def first_tick(self, time_s: float) -> int:
-        """Return the first tick at or after a time, s; the tolerance keeps rounding from the next."""
-        return math.ceil(time_s * self.base_rate_hz - 1e-6)
+        """Return the first tick at or after a time, s, of which rounding makes none later."""
+        return math.ceil(time_s * self.base_rate_hz - _ROUNDING)
+
+    def pause_s(self, until_s: float, last: int) -> float:
+        """Return the time of a pause at the first tick at or after a time, s.
+
+        Infinite: none, because a flight to the tick `last` ends within a period of the autopilots
+        after it, before a command could act.
+        """
+        if not math.isfinite(until_s):
+            return until_s
+        tick = self.first_tick(until_s)
+        return math.inf if tick + self.autopilot > last else self.time_s(tick)
 
     def schedule(self, duration_s: float, *, all_motions: bool = False) -> Iterator[Scheduled]:
         """Yield the ticks up to the duration at which something happens.

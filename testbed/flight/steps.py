@@ -121,12 +121,6 @@ def _write_down(aircraft: Records, lowest_m: Array, scripted: bool) -> bool:
 
 
 @entry
-def is_reached(until_s: Array, now: float) -> bool:
-    """Return whether a time (1,), s, is reached."""
-    return bool(now >= until_s[0])
-
-
-@entry
 def has_events(waiting: BoolArray) -> bool:
     """Return whether events wait for the observers, (1,)."""
     return bool(waiting[0])

@@ -15,6 +15,8 @@ from testbed.flight.schedule import Scheduled, TickActions
 from testbed.flight.stages import Part, Stage
 
 LOOK_TICKS = 64  # that are run without a look at what may end the flight
+ANY_TICKS = 2**62  # more than any flight has
+PAUSED = 2  # returned by the call of a stage at which the flight waits for its caller
 
 # A tick of a block.
 TICK = np.dtype(
@@ -48,6 +50,9 @@ PLACE = np.dtype(
         ("left", "i8"),  # ticks to be run
         ("last", "i8"),  # tick of the flight
         ("rate_hz", "f8"),  # of the ticks
+        ("now", "f8"),  # time of the tick, s
+        ("until", "f8"),  # time of the next pause, s
+        ("waiting", "?"),  # for Python, at the stage
         ("ending", "?"),  # the tick is the last one
         ("done", "?"),  # that was the last one
     ],
@@ -80,9 +85,16 @@ class TickLoop:
         stages: in order.
         inputs: that each tick writes.
         base_rate_hz: of the ticks.
+        place: (1,) of PLACE, to be used; None: a new one.
     """
 
-    def __init__(self, stages: Sequence[Stage], inputs: TickInputs, base_rate_hz: int) -> None:
+    def __init__(
+        self,
+        stages: Sequence[Stage],
+        inputs: TickInputs,
+        base_rate_hz: int,
+        place: Records | None = None,
+    ) -> None:
         """See the class; nothing is compiled or called yet."""
         self._stages, self._inputs = tuple(stages), inputs
         self._block, self._due = allocate(TICK, 0), list[TickActions]()
@@ -91,7 +103,7 @@ class TickLoop:
         self._actions = allocate(ACTION, _MIN_ACTIONS)
         self._senders, self._needed = np.zeros((2, _MIN_ACTIONS, n), dtype=bool)
         self._addresses: Words = np.zeros((0, len(stages)), dtype=np.uint64)
-        self._place = allocate(PLACE, 1)
+        self._place = allocate(PLACE, 1) if place is None else place
         self._place["rate_hz"] = base_rate_hz
         self._programs: list[tuple[Stage, ...]] = []
         self._programs_of: dict[Kind, int] = {}
@@ -123,30 +135,45 @@ class TickLoop:
             self._block[k] = tick, self._action(due, steps, needed), planned
         place = self._place
         place["row"] = place["offset"] = place["stage"] = 0
-        place["ending"] = place["done"] = False
+        place["ending"] = place["done"] = place["waiting"] = False
         place["rows"], place["period"], place["last"] = len(rows), period, last
+        if len(rows):
+            place["now"] = rows[0][0] / place["rate_hz"]
         self._call.rebind(*self._arguments)
 
     def limit(self, ticks: int) -> None:
         """Let `run` end after some ticks."""
         self._place["left"] = ticks
 
-    def run(self) -> Stage | None:
+    def bind(self) -> None:
+        """Write down the addresses, after `compile.prepare`; see `Call.bind`."""
+        self._call.bind()
+
+    @property
+    def address(self) -> int:
+        """Address of the words of the call that `run` makes, which returns what `run` is given."""
+        return self._call.address
+
+    def run(self, found: int | None = None) -> Stage | None:
         """Run on, up to a stage that asks for Python.
 
         None: the limit, the end of a block that does not repeat, or that of the flight is reached.
+
+        Args:
+            found: what the call at `address` has returned, made by another; None: make it.
         """
-        while self._call(0.0):
+        if found is None:
+            found = self._call(0.0)
+        while found:
             stage = self._at
             if stage.call is None or not is_interpreted() or stage.call(self.time_s):
                 return stage
-            self.resume()
+            found = self._call(0.0)
         return None
 
-    def resume(self, *, ending: bool = False) -> None:
-        """Go on with the next stage in `run`; `ending`: up to the end of the tick."""
-        self._place["stage"] += 1
-        self._place["ending"] |= ending
+    def end(self) -> None:
+        """Let the present tick be the last one."""
+        self._place["ending"] = True
 
     @property
     def done(self) -> bool:
@@ -167,9 +194,7 @@ class TickLoop:
     @property
     def time_s(self) -> float:
         """Time of the present tick, s."""
-        place = self._place[0]
-        tick = int(self._block["tick"][place["row"]] + place["offset"])
-        return tick / float(place["rate_hz"])
+        return float(self._place["now"][0])
 
     @property
     def _at(self) -> Stage:
@@ -234,6 +259,22 @@ class TickLoop:
 
 
 @entry
+def pause(place: Records, observed: Words, now: float) -> int:
+    """Return `PAUSED` at a time, s, if it is that of the next pause.
+
+    Args:
+        place: (1,) of PLACE.
+        observed: addresses of calls that come before it.
+        now: s.
+    """
+    if now < place[0].until:
+        return 0
+    for address in observed:
+        call_words(address, now)
+    return PAUSED
+
+
+@entry
 def _run_ticks(
     block: Records,
     planned_rows: Array,
@@ -246,8 +287,10 @@ def _run_ticks(
     planned_s: Array,
     steps: Indices,
     needed: BoolArray,
-) -> bool:
-    """Run on from a place, up to a stage that asks for Python; false: to the end of the block.
+) -> int:
+    """Run on from a place, up to a stage that asks for Python; return what its call has returned.
+
+    0: the limit or the end of the block is reached; 1 also where the stage has no call.
 
     Args:
         block: (K,) of TICK.
@@ -263,6 +306,9 @@ def _run_ticks(
         needed: see there.
     """
     at = place[0]
+    if at.waiting:
+        at.waiting = False
+        at.stage += 1
     while at.left > 0 and at.row < at.rows and not at.done:
         row = block[at.row]
         tick, action = row.tick + at.offset, actions[row.action]
@@ -276,20 +322,22 @@ def _run_ticks(
                 if action.broadcasts:
                     senders[i] = senders_of[row.action, i]
                     planned_s[i] = planned_rows[row.planned, i] if row.planned >= 0 else nan
-        now = tick / at.rate_hz
+        at.now = now = tick / at.rate_hz
         moves = tick + action.steps <= at.last and not at.ending
         while at.stage < (action.stages if moves else action.before_move):
             address = addresses[action.program, at.stage]
-            if address == 0 or call_words(address, now) != 0:
-                return True
+            found = 1 if address == 0 else call_words(address, now)
+            if found != 0:
+                at.waiting = True
+                return found
             at.stage += 1
         at.stage = 0
         at.left -= 1
         if not moves:
             at.done = True
-            return False
+            return 0
         at.row += 1
         if at.row == at.rows and at.period > 0:
             at.row = 0
             at.offset += at.period
-    return False
+    return 0

@@ -398,7 +398,7 @@ class Episodes:
         flight = self._flight
         still = np.zeros(len(ACTIONS), np.float32)
         checked = {name: _checked_action(name, actions.get(name, still)) for name in self.agents}
-        commands = {
+        commands: dict[str, FbwaCommand[float]] = {
             name: FbwaCommand._make(self._ranges[name].commands(each).tolist())
             for name, each in checked.items()
         }
@@ -426,7 +426,8 @@ class Episodes:
             self._actions[name][np.newaxis, np.newaxis],
             nearest=self._nearest,
         )
-        return observed[0, 0]
+        mine: Vector = observed[0, 0]
+        return mine
 
     def error_m(self, name: str) -> float:
         """Return the distance of a follower from its slot, m."""

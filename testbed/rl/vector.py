@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from gymnasium.utils import seeding
@@ -232,7 +232,7 @@ class VectorEpisodes(VectorEnv[Any, Any, Any]):
         terminated, truncated = self._ends(errors)
         for each in (rewards, terminated, truncated):
             each[begun] = 0
-        self._over = (terminated | truncated).any(axis=1)
+        self._over[:] = (terminated | truncated).any(axis=1)
         observations, infos = self._observe(), self._info(errors)
         if self.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP and self._over.any():
             of_ends = np.repeat(self._over, shape[1])
@@ -317,8 +317,6 @@ class HoldSlotVectorEnv(VectorEpisodes):
         InputError: the scenario or an argument is wrong.
     """
 
-    metadata: ClassVar[dict[str, Any]]
-
     def __init__(
         self,
         num_envs: int = 1,
@@ -351,8 +349,6 @@ class FormationVectorEnv(VectorEpisodes):
     Raises:
         InputError: the scenario or an argument is wrong.
     """
-
-    metadata: ClassVar[dict[str, Any]]
 
     def __init__(
         self,

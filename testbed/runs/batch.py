@@ -14,7 +14,8 @@ from typing import TypeAlias
 import numpy as np
 
 from testbed.commands.autopilot_session import MANUAL_ANGLE_LIMIT
-from testbed.core.compile import reporting
+from testbed.core.call_list import run_each
+from testbed.core.compile import is_interpreted, reporting
 from testbed.core.errors import InputError
 from testbed.core.records import (
     AIRCRAFT,
@@ -24,18 +25,21 @@ from testbed.core.records import (
     Array,
     BoolArray,
     Event,
+    Records,
     allocate_rows,
 )
 from testbed.core.saved_state import SavedState
 from testbed.flight.loop import Flight
+from testbed.flight.tick_loop import PAUSED, PLACE
 from testbed.metrics import MetricsObserver
 from testbed.metrics.model import Metrics
 from testbed.plan.world import RowRecords, build
 from testbed.runs.run import find_loaded
-from testbed.runs.simulation import EventCollector, StepArguments, flight_metrics
+from testbed.runs.simulation import EventCollector, flight_metrics
 from testbed.scenario import Scenario, set_seed
 from testbed.scenario.aircraft import ArduPlane
-from testbed.scenario.arguments import check_argument, check_count, check_overrides
+from testbed.scenario.arguments import check_count, check_overrides
+from testbed.scenario.fields import MAX_DURATION_S
 from testbed.scenario.validate import shown_value
 
 Flown: TypeAlias = "Scenario | str | os.PathLike[str]"
@@ -101,16 +105,18 @@ class Batch:
         self.followers, followers = allocate_rows(FOLLOWER, size, n - 1)
         self.links, links = allocate_rows(LINK, size, n - 1, n)
         self.commands, commands = allocate_rows(COMMAND, size, n)
+        places, place = allocate_rows(PLACE, size, 1)
+        self._places = places[:, 0]
         arrays = zip(aircraft, followers, links, commands, strict=True)
-        self._records = [RowRecords(*each) for each in arrays]
+        self._records = [(RowRecords(*each), own) for each, own in zip(arrays, place, strict=True)]
         self.outcomes: list[str | None] = [None] * size
         with reporting(compiling):
             self._rows = [self._build(row) for row in range(size)]
-        self.times_s = np.array([each.time_s for each in self._rows])
+        self.times_s: Array = self._places["now"]
         self._commanded = np.array([each.commanded for each in self._rows])
 
     def _build(self, row: int) -> _Row:
-        return _Row(self.scenarios[row], self._records[row])
+        return _Row(self.scenarios[row], *self._records[row])
 
     def __len__(self) -> int:
         """Return the number of rows."""
@@ -125,13 +131,19 @@ class Batch:
         Raises:
             InputError: `until` or a command is wrong. No row has then moved.
         """
-        if isinstance(until, np.ndarray | list | tuple):
-            times = np.array(check_argument("until", until, StepArguments, "times"))
-            if len(times) != len(self):
-                raise InputError(f"until: has {len(times)} times (write {len(self)}, one per row)")
-        else:
-            times = np.full(len(self), check_argument("until", until, StepArguments, "until"))
-        self._advance(times)
+        times = np.full(len(self), until) if np.ndim(until) == 0 else np.asarray(until)
+        try:
+            right = times.shape == (len(self),) and bool(
+                ((times >= 0.0) & (times <= MAX_DURATION_S)).all()
+            )
+        except (TypeError, ValueError):
+            right = False
+        if not right:
+            raise InputError(
+                f"until: is {shown_value(until)} (write a time from 0 to {MAX_DURATION_S:g} s, or "
+                f"{len(self)} of these)"
+            )
+        self._advance(times.astype(float))
 
     def run(self) -> list[Metrics]:
         """Fly all rows to their ends, and return the metrics of each, as in metrics.json."""
@@ -140,14 +152,18 @@ class Batch:
 
     def _advance(self, until_s: Array) -> None:
         self._check_commands()
-        earlier = self.times_s < until_s
-        flying = [row for row in np.flatnonzero(earlier).tolist() if self.outcomes[row] is None]
+        flying = [
+            row
+            for row in np.flatnonzero(until_s > self.times_s).tolist()
+            if self.outcomes[row] is None
+            and self.times_s[row] < self._rows[row].set_pause(until_s[row])
+        ]
         if self._threads == 1 or len(flying) < 2:
-            self._fly(flying, until_s)
+            self._fly(flying)
             return
         # some parts for each thread: the rows of one can take longer
         parts = min(len(flying), _PARTS * self._threads)
-        list(self._pool.map(lambda k: self._fly(flying[k::parts], until_s), range(parts)))
+        list(self._pool.map(lambda k: self._fly(flying[k::parts]), range(parts)))
 
     @functools.cached_property
     def _pool(self) -> ThreadPoolExecutor:
@@ -155,11 +171,16 @@ class Batch:
         weakref.finalize(self, pool.shutdown, wait=False)
         return pool
 
-    def _fly(self, rows: Sequence[int], until_s: Array) -> None:
-        for row in rows:
-            each = self._rows[row]
-            self.times_s[row] = each.advance(until_s[row])
-            self.outcomes[row] = each.outcome
+    def _fly(self, rows: Sequence[int]) -> None:
+        """Fly some rows to their pauses: together, and one by one what needs Python."""
+        if is_interpreted():
+            found = np.zeros(len(rows), dtype=np.int64)
+        else:
+            found = np.empty(len(rows), dtype=np.int64)
+            run_each(np.array([self._rows[row].address for row in rows], dtype=np.uint64), found)
+        for row, each in zip(rows, found.tolist(), strict=True):
+            if each != PAUSED:
+                self.outcomes[row] = self._rows[row].fly_on(each)
 
     def _check_commands(self) -> None:
         for name, (low, high) in _BOUNDS.items() if self._commanded.any() else ():
@@ -200,11 +221,11 @@ class Batch:
             if not self._rows[row].reset(scenario):
                 self._rebuild(row, scenario)
             self.scenarios[row], self.outcomes[row] = scenario, None
-            self.times_s[row] = self._rows[row].time_s
 
     def _rebuild(self, row: int, scenario: Scenario) -> None:
         """Build a row anew; it stays as it is where that fails."""
-        arrays = self._records[row]
+        records, place = self._records[row]
+        arrays = *records, place
         before = [each.copy() for each in arrays], self.scenarios[row]
         for each in arrays:
             each[...] = 0
@@ -231,12 +252,12 @@ class Batch:
 class _Row:
     """One flight of a batch."""
 
-    def __init__(self, scenario: Scenario, records: RowRecords) -> None:
+    def __init__(self, scenario: Scenario, records: RowRecords, place: Records) -> None:
         self.scenario = scenario
         self.outcome: str | None = None
         self._world = world = build(scenario, in_process=True, records=records)
         self._meter, self.events = MetricsObserver(published=scenario.published), EventCollector()
-        self._flight = Flight(world, (self._meter, self.events))
+        self._flight = Flight(world, (self._meter, self.events), place=place)
         self._flight.compile()
         for each in (self._meter, self.events):
             each.begin(world.info)
@@ -244,10 +265,12 @@ class _Row:
         if world.fleet is None or world.fleet.engine == "compiled":
             self._built = self._save()
         self._start: SavedState | None = None  # at the first tick; made when it is used
-        self.time_s = self._begin()
+        self._begin()
 
-    def _save(self) -> SavedState:
-        return SavedState(flight=self._flight, metrics=self._meter, events=self.events)
+    @property
+    def address(self) -> int:
+        """See `Flight.address`."""
+        return self._flight.address
 
     @property
     def commanded(self) -> BoolArray:
@@ -255,11 +278,14 @@ class _Row:
         array = self._world.array_commands
         return np.zeros(len(self._world.names), dtype=bool) if array is None else array.commanded
 
-    def _begin(self) -> float:
-        """Fly to the first tick, and return its time, s."""
+    def _save(self) -> SavedState:
+        return SavedState(flight=self._flight, metrics=self._meter, events=self.events)
+
+    def _begin(self) -> None:
+        """Fly to the first tick."""
         self._flight.settle()
         self._begun_s = time.perf_counter()
-        return self.advance(-math.inf)
+        self._flight.fly_to(-math.inf)
 
     def reset(self, scenario: Scenario) -> bool:
         """Return to the start of a scenario with this one's world but for the seed.
@@ -276,23 +302,23 @@ class _Row:
             self._start.restore()
             self._meter.reseed(seed)
             self._begun_s = time.perf_counter()
-            self.time_s = self._flight.time_s
             return True
         self._built.restore()
         if seed != self._seed and world.is_random:
             world.reseed(seed)
         self._meter.reseed(seed)
-        self.time_s = self._begin()
+        self._begin()
         self._start = self._save() if is_same else None  # the next is likely the same
         return True
 
-    def advance(self, until_s: float) -> float:
-        """Fly to the first tick at or after a time, s, or to the end; return the time there."""
-        if not self._flight.fly_to(until_s):
-            self.outcome = self._flight.ending
-        time_s = self._flight.time_s
-        self._flight.write_observed(time_s)
-        return time_s
+    def set_pause(self, until_s: float) -> float:
+        """Set the time to which `fly_on` flies; return that of the tick, s."""
+        return self._flight.set_pause(until_s)
+
+    def fly_on(self, found: int | None = None) -> str | None:
+        """Fly to the pause, see `Flight.fly_on`; return how the flight has ended, None: not yet."""
+        self.outcome = None if self._flight.fly_on(found) else self._flight.ending
+        return self.outcome
 
     def metrics(self) -> Metrics:
         """Return the metrics up to now."""

@@ -213,8 +213,8 @@ class Simulation:
         models = self._world.fleet
         if models is not None and models.engine != "compiled":
             raise InputError(
-                "engine: jsbsim: the flight models are outside Python, so that the flight cannot be "
-                "saved (write scenario.engine=compiled into the overrides)"
+                "engine: jsbsim: flight models outside Python cannot be saved (write "
+                "scenario.engine=compiled into the overrides)"
             )
         parts = {"stages": self._stages, "observers": self._further}
         state = SavedState(flight=self._flight, meter=self._meter, events=self.events, **parts)
@@ -368,7 +368,6 @@ class StepArguments(Section):
     """Arguments of a step."""
 
     until: Instant = Field(description="Time of the flight, s.")
-    times: tuple[Instant, ...] = Field((), description="Times of some flights, s.")
 
 
 def flight_metrics(

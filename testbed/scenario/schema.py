@@ -93,8 +93,9 @@ def set_seed(scenario: FlightT, seed: int) -> FlightT:
         InputError: it is not a whole number from 0 to 2^63 - 1.
     """
     seed = check_argument("seed", seed, Header, "seed")  # on which nothing else depends
-    header = scenario.scenario.model_copy(update={"seed": seed})
-    return scenario.model_copy(update={"scenario": header})
+    header: Header = scenario.scenario.model_copy(update={"seed": seed})
+    changed: FlightT = scenario.model_copy(update={"scenario": header})  # type: ignore[assignment]
+    return changed
 
 
 def unreached_windows(scenario: Scenario, duration_s: float) -> dict[str, str]:
