@@ -73,14 +73,9 @@ class SavedState:
             waiting += parts
             unused.update(id(_owner(one)) for one in getattr(each, "unused_arrays", tuple)())
         self._seen = seen  # which keeps ids and addresses
-        self._arrays = [
-            each.reshape(-1).view(np.uint8)
-            for key, each in arrays.items()
-            if key not in unused and each.size
-        ]
-        self._numbers = np.concatenate(self._arrays)
-        ends = np.cumsum([len(each) for each in self._arrays])
-        self._copies = np.split(self._numbers, ends[:-1])
+        used = [each for key, each in arrays.items() if key not in unused and each.size]
+        self._arrays = [_bytes_of(each) for each in used]
+        self._copies = [each.copy() for each in self._arrays]
 
     def restore(self) -> None:
         """Return all objects to this state."""
@@ -180,6 +175,14 @@ def _pair_parts(one: Any, other: Any) -> Iterator[tuple[object, object]]:  # noq
             write(a)
         elif a is not b and a != b:
             raise TypeError(f"{type(one).__qualname__}: {a!r} and {b!r} cannot be exchanged")
+
+
+def _bytes_of(array: NDArray[Any]) -> NDArray[np.uint8]:
+    """View an array that owns its numbers as bytes, in the order in memory."""
+    ordered = array if array.flags.c_contiguous else array.T
+    found: NDArray[np.uint8] = ordered.reshape(-1).view(np.uint8)
+    assert np.shares_memory(found, array), "numbers have gaps in memory"
+    return found
 
 
 def _owner(array: NDArray[Any]) -> NDArray[Any]:

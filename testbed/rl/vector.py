@@ -49,7 +49,7 @@ class VectorTask(Section):
         starts_seed: of these.
     """
 
-    starts: Whole = Field(0, ge=0, le=100_000, description="Number; 0: twice that of the flights.")
+    starts: Whole = Field(0, ge=0, le=100_000, description="0: a quarter more than flights.")
     starts_seed: Whole = Field(0, ge=0, lt=2**63, description="Number.")
 
 
@@ -105,7 +105,7 @@ class VectorEpisodes(VectorEnv[Any, Any, Any]):
         self._episodes = episodes = Episodes(rest, followers, nearest=nearest)
         self._task, self._nearest, self._flights = episodes.task, nearest, flights
         self.followers = tuple(episodes.agents)
-        count = max(task.starts or 2 * flights, flights + 1)
+        count = max(task.starts or flights + flights // 4, flights) + 4
         generator = np.random.default_rng(task.starts_seed)
         drawn = [episodes.draw(generator) for _ in range(count)]
         self.drawn = [each for _, each in drawn]
@@ -221,7 +221,7 @@ class VectorEpisodes(VectorEnv[Any, Any, Any]):
         until[rows] = self._begun_s[rows] + periods * period_s
         self.batch.step(until)
         self._steps[going] += 1
-        changes = ((new - self._actions) ** 2).sum(axis=-1)
+        changes = ((new - self._actions) ** 2).sum(axis=-1).astype(np.float64)
         self._actions[going] = new[going]
         begun = np.flatnonzero(self._over)
         self._begin(begun)

@@ -216,8 +216,8 @@ class Simulation:
                 "engine: jsbsim: flight models outside Python cannot be saved (write "
                 "scenario.engine=compiled into the overrides)"
             )
-        parts = {"stages": self._stages, "observers": self._further}
-        state = SavedState(flight=self._flight, meter=self._meter, events=self.events, **parts)
+        of_user = {"observers": self._further, "stages": self._stages}  # first, to be named so
+        state = SavedState(**of_user, flight=self._flight, meter=self._meter, events=self.events)
         return SavedFlight(self._flight, state, self.time_s, self.outcome)
 
     def restore(self, saved: SavedFlight) -> Sample:

@@ -1,5 +1,7 @@
 """Flights of a batch are those of `testbed.run`, whatever flies beside them."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -36,7 +38,7 @@ def test_rows_fly_as_runs_of_their_seeds(scenario):
     for threads in (1, 2):
         batch = testbed.Batch(scenario, seeds=seeds, threads=threads)
         batch.step(1.0)
-        assert batch.times_s == [1.0] * 3 and batch.outcomes == [None] * 3
+        assert batch.times_s.tolist() == [1.0] * 3 and batch.outcomes == [None] * 3
         assert [numbers(each) for each in batch.run()] == expected
         assert batch.outcomes == ["completed"] * 3
     batch.reset([1], seeds=[3])
@@ -91,3 +93,72 @@ def test_wrong_arguments_of_a_batch_are_named(arguments, text):
     with pytest.raises(InputError) as caught:
         testbed.Batch("simulation-1", **arguments)
     assert text in str(caught.value)
+
+
+def test_rows_stay_where_they_are(scenario):
+    """A time that has passed moves no row; rows have times of their own."""
+    batch = testbed.Batch(scenario, rows=None, seeds=[1, 2], threads=1)
+    batch.step([0.5, 1.5])
+    assert batch.times_s.tolist() == [0.5, 1.5]
+    before = batch.aircraft.tobytes()
+    batch.step(0.5)
+    batch.step(np.array([0.1, 1.0]))
+    assert batch.times_s.tolist() == [0.5, 1.5] and batch.aircraft.tobytes() == before
+    batch.step(1.0)
+    assert batch.times_s.tolist() == [1.0, 1.5]
+
+
+@pytest.mark.parametrize(
+    "until", [-1.0, math.nan, 1e9, [1.0], [1.0, -1.0], "1", [None, 1.0], np.zeros((2, 1)), {}]
+)
+def test_wrong_times_of_rows_are_refused(until):
+    batch = testbed.Batch("hold-slot", seeds=[1, 2], threads=1)
+    with pytest.raises(InputError, match="until: is "):
+        batch.step(until)
+    assert batch.times_s.tolist() == [0.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("pitch", 2.0), ("roll", math.nan), ("throttle", -0.1), ("throttle", 40.0)]
+)
+def test_wrong_commands_of_rows_are_refused(name, value):
+    batch = testbed.Batch("hold-slot", ["fleet.uav1.commanded_by=external"], seeds=[1, 2])
+    batch.commands[name][:, 0] = math.nan  # of the leader, which takes none
+    batch.step(0.1)
+    batch.commands[name][1, 1] = value
+    with pytest.raises(
+        InputError, match=rf"commands\[1, 1\], of uav1: {name}: is {value:g} \(write"
+    ):
+        batch.step(0.5)
+    assert batch.times_s.tolist() == [0.1, 0.1]
+
+
+def test_row_that_cannot_be_built_again_stays(scenario, monkeypatch):
+    """Here with random phases, for which a row is built anew."""
+    changed = set_duration(load_scenario("experiment-1"), 3.0)
+    batch = testbed.Batch(changed, seeds=[1, 2], threads=1)
+    batch.step(1.0)
+    before = batch.aircraft.tobytes()
+
+    def fail(*_, **__):
+        raise InputError("no file")
+
+    with monkeypatch.context() as patched:
+        patched.setattr("testbed.runs.batch.build", fail)
+        with pytest.raises(InputError, match="no file"):
+            batch.reset([1], [5])
+    assert batch.aircraft.tobytes() == before and batch.scenarios[1].scenario.seed == 2
+    assert [numbers(each) for each in batch.run()] == [
+        numbers(testbed.run(set_seed(changed, seed), write=False).metrics) for seed in (1, 2)
+    ]
+
+
+def test_rows_can_be_scenarios(scenario):
+    scenarios = [set_seed(scenario, 4), set_duration(scenario, 2.0)]
+    batch = testbed.Batch(scenarios)
+    assert [numbers(each) for each in batch.run()] == [
+        numbers(testbed.run(each, write=False).metrics) for each in scenarios
+    ]
+    for wrong in ([], [scenario, "simulation-1"]):
+        with pytest.raises(InputError, match="write"):
+            testbed.Batch(wrong)
