@@ -284,7 +284,7 @@ class VectorEpisodes(VectorEnv[Any, Any, Any]):
         """Return what is known of the episodes; of each the numbers so far."""
         m, count = len(self.followers), np.maximum(self._steps, 1)[:, np.newaxis]
         flown = self.flown.tolist()
-        seeds = [self.batch.scenarios[row].scenario.seed for row in flown]
+        seeds = [self.batch.seeds[row] for row in flown]
         shown = {
             "time_s": np.repeat(self.batch.times_s[self.flown], m),
             "slot_error_m": errors.reshape(-1),

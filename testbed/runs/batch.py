@@ -38,8 +38,9 @@ from testbed.runs.run import find_loaded
 from testbed.runs.simulation import EventCollector, flight_metrics
 from testbed.scenario import Scenario, set_seed
 from testbed.scenario.aircraft import ArduPlane
-from testbed.scenario.arguments import check_count, check_overrides
+from testbed.scenario.arguments import check_argument, check_count, check_overrides
 from testbed.scenario.fields import MAX_DURATION_S
+from testbed.scenario.sections import Header
 from testbed.scenario.validate import shown_value
 
 Flown: TypeAlias = "Scenario | str | os.PathLike[str]"
@@ -63,7 +64,7 @@ class Batch:
         compiling: as of `testbed.run`.
 
     Attributes:
-        scenarios: R, as resolved.
+        seeds: R, of the flights.
         names: of all N aircraft, the leader first.
         aircraft: (R, N) of AIRCRAFT, live.
         followers: (R, n) of FOLLOWER, live.
@@ -89,10 +90,11 @@ class Batch:
     ) -> None:
         """See the class."""
         self._threads = _processors() if threads is None else check_count("threads", threads)
-        self.scenarios = _row_scenarios(scenario, overrides, seeds, rows)
-        first = self.scenarios[0]
+        self._scenarios = _row_scenarios(scenario, overrides, seeds, rows)
+        self.seeds = [each.scenario.seed for each in self._scenarios]
+        first = self._scenarios[0]
         self.names = first.aircraft_names
-        for row, each in enumerate(self.scenarios):
+        for row, each in enumerate(self._scenarios):
             if each.aircraft_names != self.names:
                 raise InputError(f"rows[{row}]: has other aircraft than the first row")
             for one in each.aircraft:
@@ -100,7 +102,7 @@ class Batch:
                     raise InputError(
                         f"{one.name} has autopilot: ardupilot (fly it with testbed.run)"
                     )
-        size, n = len(self.scenarios), len(self.names)
+        size, n = len(self.seeds), len(self.names)
         self.aircraft, aircraft = allocate_rows(AIRCRAFT, size, n)
         self.followers, followers = allocate_rows(FOLLOWER, size, n - 1)
         self.links, links = allocate_rows(LINK, size, n - 1, n)
@@ -116,11 +118,18 @@ class Batch:
         self._commanded = np.array([each.commanded for each in self._rows])
 
     def _build(self, row: int) -> _Row:
-        return _Row(self.scenarios[row], *self._records[row])
+        return _Row(self.scenario(row), *self._records[row])
 
     def __len__(self) -> int:
         """Return the number of rows."""
-        return len(self.scenarios)
+        return len(self.seeds)
+
+    def scenario(self, row: int) -> Scenario:
+        """Return the scenario of a row, as resolved, with the seed that is flown."""
+        row = self._checked(row)
+        if self._scenarios[row].scenario.seed != self.seeds[row]:
+            self._scenarios[row] = set_seed(self._scenarios[row], self.seeds[row])
+        return self._scenarios[row]
 
     def step(self, until: float | Sequence[float] | Array) -> None:
         """Fly all rows that have not ended to the first tick at or after a time.
@@ -214,46 +223,46 @@ class Batch:
         chosen = range(len(self)) if rows is None else [self._checked(row) for row in rows]
         if seeds is not None and len(seeds) != len(chosen):
             raise InputError(f"seeds: has {len(seeds)} (write {len(chosen)}, one for each row)")
-        scenarios = [self.scenarios[row] for row in chosen]
+        new = [self.seeds[row] for row in chosen]
         if seeds is not None:
-            scenarios = [set_seed(each, seed) for each, seed in zip(scenarios, seeds, strict=True)]
-        for row, scenario in zip(chosen, scenarios, strict=True):
-            if not self._rows[row].reset(scenario):
-                self._rebuild(row, scenario)
-            self.scenarios[row], self.outcomes[row] = scenario, None
+            new = [check_argument("seeds", seed, Header, "seed") for seed in seeds]
+        for row, seed in zip(chosen, new, strict=True):
+            if not self._rows[row].reset(seed):
+                self._rebuild(row, seed)
+            self.seeds[row], self.outcomes[row] = seed, None
 
-    def _rebuild(self, row: int, scenario: Scenario) -> None:
+    def _rebuild(self, row: int, seed: int) -> None:
         """Build a row anew; it stays as it is where that fails."""
         records, place = self._records[row]
         arrays = *records, place
-        before = [each.copy() for each in arrays], self.scenarios[row]
+        before = [each.copy() for each in arrays], self.seeds[row]
         for each in arrays:
             each[...] = 0
-        self.scenarios[row] = scenario
+        self.seeds[row] = seed
         try:
             self._rows[row] = self._build(row)
         except BaseException:
             for each, copy in zip(arrays, before[0], strict=True):
                 each[...] = copy
-            self.scenarios[row] = before[1]
+            self.seeds[row] = before[1]
             raise
 
     def _checked(self, row: int) -> int:
-        if isinstance(row, int) and 0 <= row < len(self):
-            return row
+        if isinstance(row, int | np.integer) and not isinstance(row, bool) and 0 <= row < len(self):
+            return int(row)
         raise InputError(f"row: is {shown_value(row)} (write a number from 0 to {len(self) - 1})")
 
     def __repr__(self) -> str:
         """Describe the batch in one line."""
         flying = self.outcomes.count(None)
-        return f"<Batch: {len(self)} of {self.scenarios[0].name}; {flying} flying>"
+        return f"<Batch: {len(self)} of {self._scenarios[0].name}; {flying} flying>"
 
 
 class _Row:
     """One flight of a batch."""
 
     def __init__(self, scenario: Scenario, records: RowRecords, place: Records) -> None:
-        self.scenario = scenario
+        self._expect = scenario.expect
         self.outcome: str | None = None
         self._world = world = build(scenario, in_process=True, records=records)
         self._meter, self.events = MetricsObserver(published=scenario.published), EventCollector()
@@ -261,7 +270,8 @@ class _Row:
         self._flight.compile()
         for each in (self._meter, self.events):
             each.begin(world.info)
-        self._seed, self._built = scenario.scenario.seed, None
+        self._first_seed = self._seed = scenario.scenario.seed
+        self._built: SavedState | None = None  # before the first tick
         if world.fleet is None or world.fleet.engine == "compiled":
             self._built = self._save()
         self._start: SavedState | None = None  # at the first tick; made when it is used
@@ -287,24 +297,24 @@ class _Row:
         self._begun_s = time.perf_counter()
         self._flight.fly_to(-math.inf)
 
-    def reset(self, scenario: Scenario) -> bool:
-        """Return to the start of a scenario with this one's world but for the seed.
+    def reset(self, seed: int) -> bool:
+        """Return to the start, with a seed.
 
         Returns:
             Whether this is possible; false: nothing has changed.
         """
-        seed, world = scenario.scenario.seed, self._world
-        if self._built is None or (seed != self._seed and world.make_of_seed is None):
+        world, is_first = self._world, seed == self._first_seed
+        if self._built is None or not (is_first or world.make_of_seed):
             return False
-        is_same = seed == self.scenario.scenario.seed or not world.is_random
-        self.scenario, self.outcome = scenario, None
+        is_same = seed == self._seed or not world.is_random
+        self._seed, self.outcome = seed, None
         if is_same and self._start is not None:
             self._start.restore()
             self._meter.reseed(seed)
             self._begun_s = time.perf_counter()
             return True
         self._built.restore()
-        if seed != self._seed and world.is_random:
+        if not is_first and world.is_random:
             world.reseed(seed)
         self._meter.reseed(seed)
         self._begin()
@@ -322,8 +332,8 @@ class _Row:
 
     def metrics(self) -> Metrics:
         """Return the metrics up to now."""
-        outcome, expect = self.outcome or "interrupted", self.scenario.expect
-        return flight_metrics(self._world, self._meter, outcome, self._begun_s, expect)
+        outcome = self.outcome or "interrupted"
+        return flight_metrics(self._world, self._meter, outcome, self._begun_s, self._expect)
 
 
 def _row_scenarios(

@@ -6,7 +6,7 @@ from typing import Any, Self, TypeVar
 from pydantic import ValidationError, model_validator
 
 from testbed.core.errors import InputError
-from testbed.scenario.arguments import check_argument
+from testbed.scenario.arguments import check_argument, with_changes
 from testbed.scenario.checks import cross_check
 from testbed.scenario.expect import without_windows
 from testbed.scenario.fields import raise_findings
@@ -92,10 +92,8 @@ def set_seed(scenario: FlightT, seed: int) -> FlightT:
     Raises:
         InputError: it is not a whole number from 0 to 2^63 - 1.
     """
-    seed = check_argument("seed", seed, Header, "seed")  # on which nothing else depends
-    header: Header = scenario.scenario.model_copy(update={"seed": seed})
-    changed: FlightT = scenario.model_copy(update={"scenario": header})  # type: ignore[assignment]
-    return changed
+    seed = check_argument("seed", seed, Header, "seed")
+    return with_changes(scenario, scenario=with_changes(scenario.scenario, seed=seed))
 
 
 def unreached_windows(scenario: Scenario, duration_s: float) -> dict[str, str]:

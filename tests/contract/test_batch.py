@@ -147,7 +147,7 @@ def test_row_that_cannot_be_built_again_stays(scenario, monkeypatch):
         patched.setattr("testbed.runs.batch.build", fail)
         with pytest.raises(InputError, match="no file"):
             batch.reset([1], [5])
-    assert batch.aircraft.tobytes() == before and batch.scenarios[1].scenario.seed == 2
+    assert batch.aircraft.tobytes() == before and batch.seeds == [1, 2]
     assert [numbers(each) for each in batch.run()] == [
         numbers(testbed.run(set_seed(changed, seed), write=False).metrics) for seed in (1, 2)
     ]

@@ -60,7 +60,7 @@ def test_numbers_are_those_of_a_simulation():
     envs = make(overrides=NOISY)
     envs.reset(seed=3)
     row = envs.flown[2]
-    simulation = testbed.Simulation(envs.batch.scenarios[row])
+    simulation = testbed.Simulation(envs.batch.scenario(row))
     simulation.step()
     for step in range(4):
         envs.step(actions(3, step))
