@@ -1,8 +1,9 @@
 """Train a policy that holds a slot, and compare it with the trim and with the paper's law.
 
-Soft actor-critic of Stable-Baselines3 in the environment testbed/HoldSlot-v0, on one core. The trim
-(all actions zero), the policy and the paper's law then fly the same episodes, with seeds that the
-training has not used. Exits with 3 if the policy does not hold the slot better than the trim.
+Proximal policy optimisation of Stable-Baselines3 on 64 flights at the same time, in this process.
+The trim (all actions zero), the policy and the paper's law then fly the same episodes, with seeds
+that the training has not used. Exits with 3 if the policy does not hold the slot better than the
+trim.
 
 usage: make train
        or with Stable-Baselines3 installed: python examples/hold_slot_training.py [--steps N] …
@@ -13,12 +14,14 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import gymnasium
 import numpy as np
 import torch
-from stable_baselines3 import SAC
+from stable_baselines3 import PPO
 from stable_baselines3.common.env_checker import check_env
+from stable_baselines3.common.vec_env import VecEnv
 
 import testbed
 import testbed.rl  # registers the environment
@@ -26,39 +29,114 @@ from testbed.scenario import Scenario
 from testbed.scenario.aircraft import ByFormation
 from testbed.scenario.arguments import with_changes
 
+ID = "testbed/HoldSlot-v0"
 HELD_OUT = 1_000_000  # first seed of the comparison
 DURATION_S, PERIOD_S, LIMIT_M = 30.0, 0.2, 50.0  # of the environment
-REPORT = 2_000  # steps between two lines of progress
+OPTIONS = {"duration_s": DURATION_S, "limit_m": LIMIT_M}
+ROLLOUT = 32  # steps of each flight between two updates of the policy
 
 Policy = Callable[[np.ndarray], np.ndarray]
 
 
-def make_env() -> gymnasium.Env:
-    """Return the environment."""
-    return gymnasium.make("testbed/HoldSlot-v0", duration_s=DURATION_S, limit_m=LIMIT_M)
+class ManyFlights(VecEnv):
+    """The vector environment, as Stable-Baselines3 takes one.
+
+    Attributes:
+        ended: mean slot error of each episode that has ended, m.
+    """
+
+    def __init__(self, flights: int, seed: int) -> None:
+        """Build the flights."""
+        self.envs = gymnasium.make_vec(ID, num_envs=flights, autoreset_mode="SameStep", **OPTIONS)
+        self.first_seed, self.ended = seed, list[float]()
+        spaces = self.envs.single_observation_space, self.envs.single_action_space
+        super().__init__(flights, *spaces)
+
+    def reset(self) -> np.ndarray:
+        """Begin all episodes."""
+        return self.envs.reset(seed=self.first_seed)[0]
+
+    def step_async(self, actions: np.ndarray) -> None:
+        """Keep the actions for `step_wait`."""
+        self.actions = actions
+
+    def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
+        """Fly one control period of all episodes."""
+        seen, rewards, terminated, truncated, infos = self.envs.step(self.actions)
+        over = terminated | truncated
+        further: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        for k in np.flatnonzero(over):
+            self.ended.append(float(infos["final_info"]["mean_slot_error_m"][k]))
+            further[k]["terminal_observation"] = infos["final_obs"][k]
+            further[k]["TimeLimit.truncated"] = bool(truncated[k])
+        return seen, rewards.astype(np.float32), over, further
+
+    def close(self) -> None:
+        """End the flights."""
+        self.envs.close()
+
+    def env_is_wrapped(self, wrapper_class: type, indices: object = None) -> list[bool]:  # noqa: ARG002
+        """Return that no flight has a wrapper of its own."""
+        return [False] * self.num_envs
+
+    def get_attr(self, attr_name: str, indices: object = None) -> list[Any]:  # noqa: ARG002
+        """Return an attribute, the same of all flights."""
+        return [getattr(self.envs, attr_name)] * self.num_envs
+
+    def set_attr(self, attr_name: str, value: object, indices: object = None) -> None:
+        """Set nothing: flights have no attributes of their own."""
+        raise NotImplementedError
+
+    def env_method(self, method_name: str, *args: object, **kwargs: object) -> list[Any]:
+        """Call nothing: flights have no methods of their own."""
+        raise NotImplementedError
 
 
-def train(env: gymnasium.Env, steps: int, seed: int) -> SAC:
-    """Train for a number of steps, and print the progress."""
-    model = SAC(
+def train(envs: ManyFlights, steps: int, seed: int) -> tuple[PPO, list[tuple[int, float]]]:
+    """Train for a number of steps, and print the progress.
+
+    Returns:
+        The policy, and for each line of the progress the steps and the mean slot error, m, of the
+        episodes that have ended since the line before.
+    """
+    torch.manual_seed(seed)
+    size = ROLLOUT * envs.num_envs
+    model = PPO(
         "MlpPolicy",
-        env,
-        gamma=0.97,  # per 0.2 s
+        envs,
+        n_steps=ROLLOUT,
+        batch_size=size // 4,
+        n_epochs=6,
+        gamma=0.95,  # per 0.2 s
+        gae_lambda=0.9,
         learning_rate=1e-3,
-        learning_starts=1_000,
-        policy_kwargs={"net_arch": [64, 64]},
+        policy_kwargs={"net_arch": [64, 64], "log_std_init": -1.0},
         seed=seed,
+        device="cpu",
     )
-    begun = time.process_time()
+    begun, curve = time.perf_counter(), []
     while model.num_timesteps < steps:
-        model.learn(min(REPORT, steps - model.num_timesteps), reset_num_timesteps=False)
-        rewards = [episode["r"] for episode in model.ep_info_buffer or ()]
+        model.learn(max(steps // 10, size), reset_num_timesteps=False)
+        error = float(np.mean(envs.ended)) if envs.ended else np.nan
+        curve.append((model.num_timesteps, error))
         print(
-            f"{model.num_timesteps:6} of {steps} steps, {time.process_time() - begun:4.0f} s of "
-            f"processor time, reward of an episode {np.mean(rewards):6.1f} of 150",
+            f"{model.num_timesteps:7} of {steps} steps, {time.perf_counter() - begun:4.0f} s, "
+            f"{len(envs.ended):4} episodes, mean slot error {error:5.1f} m",
             flush=True,
         )
-    return model
+        envs.ended.clear()
+    return model, curve
+
+
+def draw(curve: Sequence[tuple[int, float]], file: str) -> None:
+    """Draw the mean slot error against the steps."""
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(7, 4), layout="constrained")
+    axes.plot(*zip(*curve, strict=True), marker="o")
+    axes.set(xlabel="steps of 0.2 s", ylabel="mean slot error of an episode, m", ylim=(0.0, None))
+    axes.grid(alpha=0.3)
+    figure.savefig(file, dpi=120)
 
 
 def fly_policy(env: gymnasium.Env, seed: int, policy: Policy) -> tuple[list[float], Scenario]:
@@ -94,17 +172,23 @@ def error_table(episodes: Sequence[Sequence[float]]) -> np.ndarray:
 def main() -> None:
     """Train, compare, print."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--steps", type=int, default=20_000, help="of training, 0.2 s each")
+    parser.add_argument("--steps", type=int, default=250_000, help="of training, 0.2 s each")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--flights", type=int, default=64, help="at the same time")
     parser.add_argument("--episodes", type=int, default=20, help="of the comparison")
     parser.add_argument("--save", metavar="FILE", help="write the trained policy")
+    parser.add_argument("--plot", metavar="FILE", help="draw the learning curve")
     options = parser.parse_args()
     torch.set_num_threads(1)
-    env = make_env()
+    env = gymnasium.make(ID, **OPTIONS)
     check_env(env.unwrapped)
-    model = train(env, options.steps, options.seed)
+    envs = ManyFlights(options.flights, options.seed)
+    model, curve = train(envs, options.steps, options.seed)
+    envs.close()
     if options.save:
         model.save(options.save)
+    if options.plot:
+        draw(curve, options.plot)
 
     def policy(observation: np.ndarray) -> np.ndarray:
         return model.predict(observation, deterministic=True)[0]
