@@ -68,7 +68,7 @@ train: $(STAMP) $(TRAINING_STAMP)
 # numbers of a scenario at and beyond their bounds,
 # real time with nothing else running, a study whose processes are killed, 200 runs killed at random
 # moments and 200 stopped by two signals, the snippets of every docs page, laws of large formations, every
-# golden table, golden scenarios that compile nothing in flight, a policy trained to hold a slot, and a release built and flown from a new environment.
+# golden table, flights of all scenarios saved and restored, golden scenarios that compile nothing in flight, a policy trained to hold a slot, and a release built and flown from a new environment.
 check-all: test release
 	@TESTBED_STARTS=1000 $(BIN)/pytest -q tests/theorems/test_theorem_many_starts.py
 	@TESTBED_AIR_SAMPLES=60 $(BIN)/pytest -q -n $(JOBS) tests/equations/test_atmosphere_dryden.py \
@@ -90,7 +90,8 @@ check-all: test release
 	@TESTBED_ARGUMENTS=2000 $(BIN)/pytest -q tests/contract/test_arguments.py
 	@TESTBED_NUMBERS=1 $(BIN)/pytest -q tests/contract/test_scenario_schema.py
 	@TESTBED_QUIET=1 $(BIN)/pytest -q tests/clients/test_real_time.py
-	@TESTBED_WHOLE=1 $(BIN)/pytest -q -n $(JOBS) tests/golden paper/tests
+	@TESTBED_WHOLE=1 $(BIN)/pytest -q -n $(JOBS) tests/golden paper/tests \
+		tests/contract/test_saved_flights.py
 	@TESTBED_PREPARED=1 $(BIN)/pytest -q -n $(JOBS) tests/contract/test_prepare.py
 	@TESTBED_ENGINES=1 $(BIN)/pytest -q -n $(JOBS) tests/contract/test_engine.py
 	@TESTBED_STUDIES=1 $(BIN)/pytest -q tests/contract/test_sweep.py
