@@ -115,7 +115,9 @@ def _fixed_name(value: Any) -> str | None:  # noqa: ANN401
         name = module = value.__name__
     elif isinstance(value, np.ufunc):
         module, name = "numpy", value.__name__
+    elif hasattr(value, "__qualname__"):  # an instance has none
+        module = str(value.__module__)
+        name = f"{module}.{value.__qualname__}"
     else:
-        module = str(getattr(value, "__module__", None))
-        name = f"{module}.{getattr(value, '__qualname__', None)}"
+        return None
     return name if module.partition(".")[0] in _FIXED else None

@@ -106,12 +106,6 @@ class Control:
         self._memory: list[Any] = [None] * len(groups)
         self._use_all_messages()
         self._parts = controllers, neighbours, self._own, *run
-        # of groups with a law in Python: what it returned, and what comes after it
-        self._commands = [allocate_command(len(group.rows)) for group in groups]
-        self._finish = [
-            self._finish_call(group, command) if _is_python(group.law) else None
-            for group, command in zip(groups, self._commands, strict=True)
-        ]
 
     def _use_all_messages(self) -> None:
         """Mark all messages as used by users' laws, because their use is not known."""
@@ -154,7 +148,9 @@ class Control:
         elif isinstance(group.law, CompiledLaw):
             steps = self._compiled_law_steps(group, group.law)
         else:
-            steps = (partial(self._step_user_law, number, group, group.law),)
+            command = allocate_command(len(group.rows))
+            after = command, self._finish_call(group, command)
+            steps = (partial(self._step_user_law, number, group.law, *after),)
         if companions is None:
             return steps
         return companions.receive_states, *steps, companions.send_commands(group.rows)
@@ -174,9 +170,20 @@ class Control:
         limits = group.config.pitch_limit, group.config.roll_limit
         return Call(_finish, group.rows, command, *limits, *self._parts, NOW)
 
-    def _step_user_law(self, number: int, group: ControlGroup, law: Law, now: float) -> None:
-        """Step a group by a user's law, which receives copies of its inputs."""
-        rows, followers = group.rows, self._followers
+    def _step_user_law(
+        self, number: int, law: Law, command: LawCommand, finish: Call, now: float
+    ) -> None:
+        """Step a group by a user's law in Python, which receives copies of its inputs.
+
+        Args:
+            number: of the group.
+            law: its own.
+            command: written.
+            finish: of `_finish_call`.
+            now: s.
+        """
+        group, followers = self.groups[number], self._followers
+        rows = group.rows
         estimate = fields_of(VehicleState, self._own["estimate"])
         own = VehicleState(*(each[1:][rows] for each in estimate))
         inbox = Inbox(*(each[rows] for each in fields_of(Inbox, self._links)))
@@ -188,21 +195,15 @@ class Control:
             known = self._memory[number]
             memory = law.start(own) if known is None else known[0]
             returned, memory = law.step(now, own, inbox, memory)
-            command = validate_command(returned, group.config, now)
+            valid = validate_command(returned, group.config, now)
         self._memory[number] = (memory,)
-        self._commands[number].put(command)
-        finish = self._finish[number]
-        assert finish is not None, "of a group with a law in Python"
+        command.put(valid)
         finish(now)
-        if isinstance(command, FbwaCommand):
+        if isinstance(valid, FbwaCommand):
             # the last bits of numpy's angles are others than those of the kernel
             motion = followers["direction"][rows]
             followers["course_desired"][rows] = course(motion)
             followers["flight_path_angle_desired"][rows] = flight_path_angle(motion)
-
-
-def _is_python(law: Law | None) -> bool:
-    return law is not None and not isinstance(law, CompiledLaw)
 
 
 def _report_command(law: CompiledLaw, config: FormationConfig, now: float) -> None:

@@ -15,6 +15,7 @@ import testbed
 from testbed.core.code_digest import UnknownValueError, code_digest
 from testbed.core.compile import cache_folder
 from testbed.core.errors import FlightError, InputError
+from testbed.core.records import NedOrigin
 from testbed.formation.compiled_law import CompiledLaw
 from testbed.formation.control_step import Hbh23Law
 from testbed.logs.read import read_log
@@ -376,8 +377,9 @@ def test_digest_is_of_all_that_is_compiled_in():
     seen += [digest("return gain", gain=value) for value in values]
     assert len(set(seen)) == len(seen)
     assert digest("return x") == seen[0] and digest("return gain", gain=twice) == seen[-2]
-    with pytest.raises(UnknownValueError, match="^gain$"):
-        digest("return gain", gain=object())
+    for value in (object(), [1.0], np.random.default_rng(1), NedOrigin()):
+        with pytest.raises(UnknownValueError, match="^gain$"):
+            digest("return gain", gain=value)
 
 
 def test_digest_of_a_module_is_of_what_is_read(tmp_path, monkeypatch):
