@@ -2,8 +2,8 @@
 
 `testbed.run("simulation-3")` flies a scenario and returns metrics; `testbed.load_scenario` reads
 one, `testbed.load_run` reads the log of a run as arrays. `testbed.Simulation` steps a scenario,
-`testbed.Aircraft` one aircraft; `testbed.law` has the types of a law of your own. `testbed --help`
-lists the commands for a shell.
+`testbed.Aircraft` one aircraft; `testbed.law` has the types of a law of your own, which
+`testbed.kernel` compiles. `testbed --help` lists the commands for a shell.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from testbed.flight.stages import FlightRecords, UserStage
+    from testbed.formation.compiled_law import kernel
     from testbed.logs.flight_data import FlightData, load_run
     from testbed.runs.batch import Batch
     from testbed.runs.run import Run, run
@@ -30,6 +31,7 @@ __all__ = [
     "Simulation",
     "UserStage",
     "__version__",
+    "kernel",
     "load_run",
     "load_scenario",
     "run",
@@ -43,6 +45,7 @@ _MODULES = {
     "Run": "testbed.runs.run",
     "Simulation": "testbed.runs.simulation",
     "UserStage": "testbed.flight.stages",
+    "kernel": "testbed.formation.compiled_law",
     "load_run": "testbed.logs.flight_data",
     "load_scenario": "testbed.scenario",
     "run": "testbed.runs.run",

@@ -10,6 +10,8 @@ arguments. `start` is called once, with the first estimates, and returns the mem
 step; `step` is called every control period, at time `now` (s), and returns the command and the new
 memory.
 
+A law that is compiled and flies without Python is a function of one follower: `testbed.kernel`.
+
 A law steps n followers at once, of N aircraft. Each array has one row per follower, and row i of
 the command may depend on row i of `own` and `inbox` only: on what follower i has received. A law
 must not modify its inputs, and carries its state in the memory only. `testbed validate` checks
@@ -64,14 +66,14 @@ Commands; a number stands for all rows:
 
 from __future__ import annotations
 
-import numpy as np
-
-from testbed.core.records import Array, FbwaCommand, Inbox, UnicycleCommand, VehicleState
-from testbed.formation.control_step import Hbh23Law
+from testbed.core.records import FbwaCommand, Inbox, UnicycleCommand, VehicleState
+from testbed.formation.compiled_law import FollowerConfig
 from testbed.formation.law import FormationConfig, Law, LimiterFlag
+from testbed.formation.velocity_command import command_from_velocity
 
 __all__ = [
     "FbwaCommand",
+    "FollowerConfig",
     "FormationConfig",
     "Inbox",
     "Law",
@@ -80,50 +82,3 @@ __all__ = [
     "VehicleState",
     "command_from_velocity",
 ]
-
-
-def command_from_velocity(
-    config: FormationConfig,
-    own: VehicleState,
-    velocity_ned: Array,
-    acceleration_ned: Array | float = 0.0,
-) -> UnicycleCommand:
-    """Compute the command that turns and accelerates followers to desired velocities.
-
-    This is the second half of the built-in law, [HBH23] (8)-(15), with the scenario's gains a, b
-    and c, barrier and speed bounds: s_d and y_d are length and direction of the desired velocity,
-    s_d is clamped to its bounds, and u and ω reach them. With `formation.altitudes_m` the vertical
-    components are not used.
-
-    Args:
-        config: the first argument of the law's class.
-        own: the followers' estimates, as `step` receives them.
-        velocity_ned: p_d (n, 3) m/s over the ground, north, east, down; finite, not zero.
-        acceleration_ned: its time derivative (n, 3) m/s²; without it followers lag behind a
-            desired velocity that turns.
-
-    Raises:
-        ValueError: a velocity is zero or not finite, or an array has another shape.
-    """
-    law = config.hbh23
-    if not isinstance(law, Hbh23Law):
-        raise ValueError("config.hbh23 is missing: pass the config that the law's class received")
-    shape = (len(config.names), 3)
-    arrays = []
-    for name, value in (("velocity_ned", velocity_ned), ("acceleration_ned", acceleration_ned)):
-        try:
-            array = np.asarray(value, dtype=np.float64)
-        except (TypeError, ValueError, OverflowError):
-            raise ValueError(f"{name} has no numbers (write shape {shape})") from None
-        if array.shape not in (shape, ()):
-            raise ValueError(f"{name} has shape {array.shape}, not {shape}")
-        array = np.ascontiguousarray(np.broadcast_to(array, shape))
-        if not np.isfinite(array).all():
-            row = int(np.flatnonzero(~np.isfinite(array).all(axis=1))[0])
-            raise ValueError(f"{name} of {config.names[row]} is not finite")
-        arrays.append(array)
-    weights = np.where(law.law["horizontal"][:, np.newaxis], [1.0, 1.0, 0.0], 1.0)
-    still = np.flatnonzero(~(arrays[0] * weights).any(axis=1))
-    if len(still):
-        raise ValueError(f"velocity_ned of {config.names[still[0]]} is zero: it has no direction")
-    return law.command_from_velocity(own, *arrays)

@@ -15,7 +15,14 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.core.compile import address_of, entry_beside_python, is_interpreted, register, types_of
+from testbed.core.compile import (
+    address_of,
+    entry_beside_python,
+    is_interpreted,
+    prepare,
+    register,
+    types_of,
+)
 
 Words = NDArray[np.uint64]
 NOW: Final = object()  # the time of the tick, s; the last argument of a call
@@ -60,6 +67,12 @@ class Call:
         """Write down the addresses, which else the first call does; after `compile.prepare`."""
         if not is_interpreted():
             _ = self.words
+
+    def prepare(self) -> None:
+        """Compile or load it now, with the progress of `compile.reporting`, and bind it."""
+        if not is_interpreted():
+            prepare([(self._compiled, self._args)])
+        self.bind()
 
     def rebind(self, *args: Any) -> None:  # noqa: ANN401
         """Replace all arguments but `NOW` by others of the same types."""

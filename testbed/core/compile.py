@@ -69,6 +69,7 @@ _FILE_NAME = re.compile(
 UNUSED_DAYS = 30  # after which machine code in a shared folder is removed
 # numpy divides by zero as IEEE does; nothing is reordered, so that runs repeat to the bit
 _OPTIONS: dict[str, Any] = {"error_model": "numpy"}
+_CHECKED = {**_OPTIONS, "boundscheck": True}
 
 
 def kernel(function: F) -> F:
@@ -82,6 +83,32 @@ def kernel(function: F) -> F:
 def entry(function: F) -> F:
     """Compile a function that Python calls, and keep its machine code on disk where possible."""
     return _entry(function, {})
+
+
+def checked_kernel(function: F) -> F:
+    """Compile a function of a user's that kernels call; an index out of bounds is an exception."""
+    import numba
+
+    compiled: Any = numba.njit(**_CHECKED)(function)
+    return compiled  # type: ignore[no-any-return]
+
+
+def entry_of_user_code(function: F, digest: str | None) -> F:
+    """Compile an entry that calls checked kernels.
+
+    Args:
+        function: as `entry` has it; it may use variables of the function that encloses it.
+        digest: of all that it consists of, which names the machine code; None: that is not kept.
+    """
+    import numba
+
+    if digest is not None:
+        function.__name__ = function.__qualname__ = f"{function.__name__}_{digest[:32]}"
+    compiled: Any = numba.njit(**_CHECKED)(function)
+    folder = cache_folder()
+    if folder is not None and digest is not None and not is_interpreted():
+        _cache_by_name(folder, compiled.enable_caching, compiled)
+    return compiled  # type: ignore[no-any-return]
 
 
 def entry_beside_python(function: F) -> F:
@@ -134,9 +161,8 @@ def address_of(function: Callable[..., Any], returns: Any, *types: Any) -> int: 
 
     compiled: Any = CFunc(function, (types, returns), locals={}, options=dict(_OPTIONS))
     folder = cache_folder()
-    if folder is not None and _cache_in(folder, compiled.enable_caching, compiled):
-        # numba's key has the functions that it calls, which are new objects in each process
-        compiled._cache._index_key = lambda signature, codegen: (signature, codegen.magic_tuple())
+    if folder is not None:
+        _cache_by_name(folder, compiled.enable_caching, compiled)
     compiled.compile()
     return int(compiled.address)
 
@@ -189,6 +215,15 @@ def _cache_in(folder: Path, enable_caching: Callable[[], None], compiled: Any) -
     cache.load_overload = functools.partial(_load, cache)
     cache.save_overload = functools.partial(_save, cache.save_overload)
     return True
+
+
+def _cache_by_name(folder: Path, enable_caching: Callable[[], None], compiled: Any) -> None:  # noqa: ANN401
+    """Keep machine code in this folder, where the function's name says what it consists of.
+
+    numba's key has the functions that it calls, which are new objects in each process.
+    """
+    if _cache_in(folder, enable_caching, compiled):
+        compiled._cache._index_key = lambda signature, codegen: (signature, codegen.magic_tuple())
 
 
 def _load(cache: Any, signature: Any, context: Any) -> Any:  # noqa: ANN401 - numba's

@@ -5,18 +5,19 @@ from __future__ import annotations
 import inspect
 import signal
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
+from math import atan2, isnan, nan
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from testbed.core.call_list import NOW, Call
-from testbed.core.compile import entry
+from testbed.core.compile import entry, kernel
 from testbed.core.errors import FlightError, InputError, describe_error
-from testbed.core.frames import course, flight_path_angle
+from testbed.core.frames import course, flight_path_angle, gamma_of, norm
 from testbed.core.interrupts import Interrupt
 from testbed.core.records import (
     Array,
@@ -25,12 +26,21 @@ from testbed.core.records import (
     FbwaCommand,
     Inbox,
     Indices,
+    Record,
     Records,
     UnicycleCommand,
+    Vector,
     VehicleState,
     fields_of,
 )
 from testbed.flight.vehicles import Steps
+from testbed.formation.compiled_law import (
+    UNICYCLE,
+    CompiledLaw,
+    LawCommand,
+    allocate_command,
+    give_inputs,
+)
 from testbed.formation.control_step import control_step, finish_step
 from testbed.formation.law import FormationConfig, Law, LimiterFlag, Saturation
 from testbed.formation.message_extrapolation import message_ages
@@ -40,9 +50,7 @@ if TYPE_CHECKING:
     from testbed.flight.membership import FormationMembership
 
 LEADER_TIMEOUT = int(LimiterFlag.LEADER_TIMEOUT)
-# what `_step` does: the law of [HBH23] with its middle loop, or after a user's law the middle loop
-# and message ages, or these alone
-_LAW, _MIDDLE_LOOP, _AGES = 0, 1, 2
+PITCH, ROLL, THROTTLE = int(Saturation.PITCH), int(Saturation.ROLL), int(Saturation.THROTTLE)
 _UNKNOWN = ("speed_desired", "airspeed_command", "course_desired", "flight_path_angle_desired")
 
 
@@ -97,15 +105,7 @@ class Control:
         self.left: BoolArray = np.zeros(len(self._followers), dtype=bool)
         self._memory: list[Any] = [None] * len(groups)
         self._use_all_messages()
-        parts = controllers, neighbours, self._own, *run
-        self._parts = parts
-        # of groups with a user's law: what comes after that, with and without middle loop
-        self._finish = [
-            tuple(Call(_step, group.rows, *parts, what, NOW) for what in (_AGES, _MIDDLE_LOOP))
-            if group.law is not None
-            else ()
-            for group in groups
-        ]
+        self._parts = controllers, neighbours, self._own, *run
 
     def _use_all_messages(self) -> None:
         """Mark all messages as used by users' laws, because their use is not known."""
@@ -142,18 +142,48 @@ class Control:
     def steps(self, number: int) -> Steps:
         """Return the steps of a group's control."""
         group, companions = self.groups[number], self._companions
-        step: Call | Callable[[float], None] = (
-            Call(_step, group.rows, *self._parts, _LAW, NOW)
-            if group.law is None
-            else partial(self._step_user_law, number, group, group.law)
-        )
+        steps: Steps
+        if group.law is None:
+            steps = (Call(_step, group.rows, *self._parts, NOW),)
+        elif isinstance(group.law, CompiledLaw):
+            steps = self._compiled_law_steps(group, group.law)
+        else:
+            command = allocate_command(len(group.rows))
+            after = command, self._finish_call(group, command)
+            steps = (partial(self._step_user_law, number, group.law, *after),)
         if companions is None:
-            return (step,)
-        return companions.receive_states, step, companions.send_commands(group.rows)
+            return steps
+        return companions.receive_states, *steps, companions.send_commands(group.rows)
 
-    def _step_user_law(self, number: int, group: ControlGroup, law: Law, now: float) -> None:
-        """Step a group by a user's law, which receives copies of its inputs."""
-        rows, followers = group.rows, self._followers
+    def _compiled_law_steps(self, group: ControlGroup, law: CompiledLaw) -> Steps:
+        """Return the steps of a group with a user's kernel."""
+        inputs = group.rows, self._own, self._links, self._neighbours, law.own, law.inbox
+        then = partial(_report_command, law, group.config)
+        return (
+            Call(give_inputs, *inputs),
+            (law.call, then),
+            self._finish_call(group, law.command),
+        )
+
+    def _finish_call(self, group: ControlGroup, command: LawCommand) -> Call:
+        """Return what comes after a user's law."""
+        limits = group.config.pitch_limit, group.config.roll_limit
+        return Call(_finish, group.rows, command, *limits, *self._parts, NOW)
+
+    def _step_user_law(
+        self, number: int, law: Law, command: LawCommand, finish: Call, now: float
+    ) -> None:
+        """Step a group by a user's law in Python, which receives copies of its inputs.
+
+        Args:
+            number: of the group.
+            law: its own.
+            command: written.
+            finish: of `_finish_call`.
+            now: s.
+        """
+        group, followers = self.groups[number], self._followers
+        rows = group.rows
         estimate = fields_of(VehicleState, self._own["estimate"])
         own = VehicleState(*(each[1:][rows] for each in estimate))
         inbox = Inbox(*(each[rows] for each in fields_of(Inbox, self._links)))
@@ -161,49 +191,40 @@ class Control:
         if excluded.any():
             for each in inbox:
                 each[excluded] = np.nan
-        try:
-            with user_code_errors(law_file(law)):
-                known = self._memory[number]
-                memory = law.start(own) if known is None else known[0]
-                command, memory = law.step(now, own, inbox, memory)
-                command = validate_command(command, group.config, now)
-        except InputError as error:
-            raise FlightError(str(error)) from error
+        with _flight_errors(law):
+            known = self._memory[number]
+            memory = law.start(own) if known is None else known[0]
+            returned, memory = law.step(now, own, inbox, memory)
+            valid = validate_command(returned, group.config, now)
         self._memory[number] = (memory,)
-        if isinstance(command, UnicycleCommand):
-            followers["speed_command"][rows] = command.speed
-            for name in ("omega", "speed_desired", "direction", "limiter_flags"):
-                followers[name][rows] = getattr(command, name)
-            self._finish[number][True](now)
-        else:
-            self._write_fbwa(command, own, group)
-            self._finish[number][False](now)
-        timed_out = rows[np.isnan(self._links["age_s"][rows, 0])]
-        followers["limiter_flags"][timed_out] |= LEADER_TIMEOUT
+        command.put(valid)
+        finish(now)
+        if isinstance(valid, FbwaCommand):
+            # the last bits of numpy's angles are others than those of the kernel
+            motion = followers["direction"][rows]
+            followers["course_desired"][rows] = course(motion)
+            followers["flight_path_angle_desired"][rows] = flight_path_angle(motion)
 
-    def _write_fbwa(
-        self, command: FbwaCommand[Array], own: VehicleState, group: ControlGroup
-    ) -> None:
-        """Write a fly-by-wire-A command, limited; desired speeds are NaN."""
-        config, rows, followers = group.config, group.rows, self._followers
-        pitch = np.clip(command.pitch, -config.pitch_limit, config.pitch_limit)
-        roll = np.clip(command.roll, -config.roll_limit, config.roll_limit)
-        throttle = np.clip(command.throttle, 0.0, 1.0)
-        control = self._aircraft["control"]
-        for name, array in (("pitch", pitch), ("roll", roll), ("throttle", throttle)):
-            control[name][1:][rows] = array
-        motion = own.velocity_ned / np.linalg.norm(own.velocity_ned, axis=1, keepdims=True)
-        followers["speed_command"][rows] = followers["omega"][rows] = np.nan
-        followers["speed_desired"][rows] = followers["airspeed_command"][rows] = np.nan
-        followers["direction"][rows] = motion
-        followers["course_desired"][rows] = course(motion)
-        followers["flight_path_angle_desired"][rows] = flight_path_angle(motion)
-        followers["limiter_flags"][rows] = 0
-        followers["saturations"][rows] = (
-            (pitch != command.pitch) * int(Saturation.PITCH)
-            + (roll != command.roll) * int(Saturation.ROLL)
-            + (throttle != command.throttle) * int(Saturation.THROTTLE)
-        )
+
+def _report_command(law: CompiledLaw, config: FormationConfig, now: float) -> None:
+    """Raise the error of a user's kernel in its last step.
+
+    Raises:
+        FlightError: it raised an exception, or its command is not finite.
+    """
+    with _flight_errors(law):
+        law.raise_error(now)
+        validate_command(law.command.valid, config, now)
+
+
+@contextmanager
+def _flight_errors(law: Law) -> Iterator[None]:
+    """Turn exceptions of a user's law into a FlightError with file and line."""
+    try:
+        with user_code_errors(law_file(law)):
+            yield
+    except InputError as error:
+        raise FlightError(str(error)) from error
 
 
 @entry
@@ -215,19 +236,70 @@ def _step(
     aircraft: Records,
     followers: Records,
     links: Records,
-    what: int,
     now: float,
 ) -> None:
-    """Step the followers in these rows (m,), with the estimates of `own`, by one of the parts."""
+    """Step the followers in these rows (m,) by the law of [HBH23], with the estimates of `own`."""
     for i in rows:
         estimate, control = own[i + 1].estimate, aircraft[i + 1].control
-        controller, link, neighbour = controllers[i], links[i], neighbours[i]
-        if what == _LAW:
-            control_step(controller, now, estimate, link, neighbour, followers[i], control)
-        elif what == _MIDDLE_LOOP:
-            finish_step(controller, now, estimate, link, neighbour, False, followers[i], control)
+        control_step(controllers[i], now, estimate, links[i], neighbours[i], followers[i], control)
+
+
+@entry
+def _finish(
+    rows: Indices,
+    command: LawCommand,
+    pitch_limit: Array,
+    roll_limit: Array,
+    controllers: Records,
+    neighbours: Records,
+    own: Records,
+    aircraft: Records,
+    followers: Records,
+    links: Records,
+    now: float,
+) -> None:
+    """Write the commands (m) of a user's law, run the middle loop behind (u, ω), and write ages."""
+    for k in range(len(rows)):
+        i = rows[k]
+        estimate, control = own[i + 1].estimate, aircraft[i + 1].control
+        follower, link, neighbour = followers[i], links[i], neighbours[i]
+        if command.kind[0] == UNICYCLE:
+            given = command.unicycle
+            follower.speed_command = given.speed[k]
+            follower.speed_desired = given.speed_desired[k]
+            for axis in range(3):
+                follower.omega[axis] = given.omega[k, axis]
+                follower.direction[axis] = given.direction[k, axis]
+            follower.limiter_flags = given.limiter_flags[k]
+            controller = controllers[i]
+            finish_step(controller, now, estimate, link, neighbour, False, follower, control)
         else:
+            fbwa = command.fbwa
+            control.pitch = min(max(fbwa.pitch[k], -pitch_limit[k]), pitch_limit[k])
+            control.roll = min(max(fbwa.roll[k], -roll_limit[k]), roll_limit[k])
+            control.throttle = min(max(fbwa.throttle[k], 0.0), 1.0)
+            saturations = PITCH if control.pitch != fbwa.pitch[k] else 0
+            saturations |= ROLL if control.roll != fbwa.roll[k] else 0
+            saturations |= THROTTLE if control.throttle != fbwa.throttle[k] else 0
+            _write_unknown(estimate.velocity_ned, follower)
+            follower.saturations = saturations
             message_ages(now, neighbour, False, link)
+        if isnan(link[0].age_s):
+            follower.limiter_flags |= LEADER_TIMEOUT
+
+
+@kernel
+def _write_unknown(velocity_ned: Vector, follower: Record) -> None:
+    """Write that what a law of fly-by-wire-A commands desires is unknown: NaN, or its motion."""
+    speed = norm(velocity_ned)
+    follower.speed_command = follower.speed_desired = follower.airspeed_command = nan
+    for axis in range(3):
+        follower.omega[axis] = nan
+        follower.direction[axis] = velocity_ned[axis] / speed
+    north, east, down = follower.direction
+    follower.course_desired = atan2(east, north)
+    follower.flight_path_angle_desired = gamma_of(north, east, down)
+    follower.limiter_flags = 0
 
 
 @contextmanager
@@ -261,8 +333,15 @@ def user_code_errors(file: str, what: str = "the law") -> Iterator[None]:
         raise InputError(f"{location}: {what} raised {type(error).__name__}: {error}") from error
 
 
+def law_name(law: object) -> str:
+    """Return the name of a law's class or kernel."""
+    return law.name if isinstance(law, CompiledLaw) else type(law).__name__
+
+
 def law_file(law: object) -> str:
-    """Return the file in which a law's class is defined; its module if that is no Python file."""
+    """Return the file in which a law is defined; its module if that is no Python file."""
+    if isinstance(law, CompiledLaw):
+        return law.file
     try:
         return inspect.getfile(type(law))
     except (TypeError, OSError):

@@ -33,8 +33,8 @@ from testbed.formation.hbh23 import (
     NEIGHBOUR,
     OUTSIDE,
     hbh23,
-    speed_and_direction,
-    velocity_control,
+    reach_velocity,
+    write_inputs,
 )
 from testbed.formation.message_extrapolation import message_ages
 from testbed.formation.middle_loop import CLIPPED, LOOP
@@ -246,15 +246,11 @@ def _reach_velocities(
     law: Records, estimate: Records, velocity_ned: Array, acceleration_ned: Array, out: Records
 ) -> None:
     for i in range(len(law)):
-        vertical_weight = 0.0 if law[i].horizontal else 1.0
-        own = estimate[i].velocity_ned
-        v = (own[0], own[1], vertical_weight * own[2])
-        s = norm(v)
-        p, a = velocity_ned[i], acceleration_ned[i]
-        desired = speed_and_direction(
-            (p[0], p[1], vertical_weight * p[2]), (a[0], a[1], vertical_weight * a[2])
+        own = estimate[i]
+        inputs = reach_velocity(
+            law[i], own.velocity_ned, own.airspeed, velocity_ned[i], acceleration_ned[i]
         )
-        velocity_control(law[i], v, s, estimate[i].airspeed, desired, out[i])
+        write_inputs(inputs, out[i])
 
 
 def unicycle_command(followers: Records) -> UnicycleCommand:

@@ -154,13 +154,11 @@ def hbh23(
     desired = desired_velocity(
         law, v_g, (w[0], w[1], vertical_weight * w[2]), slot[1], slot[2], xi, xi_rate
     )
-    velocity_control(law, v, s, own.airspeed, desired, out)
+    write_inputs(velocity_control(law, v, s, own.airspeed, desired), out)
 
 
 @kernel
-def velocity_control(
-    law: Record, v: Vector, s: float, airspeed: float, desired: Values, out: Record
-) -> None:
+def velocity_control(law: Record, v: Vector, s: float, airspeed: float, desired: Values) -> Values:
     """Compute u, (14), and ω, (15), that turn the velocity to a desired one.
 
     Args:
@@ -169,8 +167,9 @@ def velocity_control(
         s: its length, m/s.
         airspeed: m/s.
         desired: s_d, m/s, ṡ_d, m/s², y_d and ẏ_d, 1/s.
-        out: record of FOLLOWER: speed_command (u), omega, speed_desired, direction and
-            limiter_flags are written.
+
+    Returns:
+        u, ω, s_d within its bounds, y_d, and the flags of the limiters that acted.
     """
     s_d, s_d_rate, y_d, y_d_rate = desired
     # bounds of the airspeed are shifted by ground speed minus airspeed
@@ -185,12 +184,50 @@ def velocity_control(
     s_d = limited
     if not s_min < s < s_max:
         flags |= OUTSIDE
-    out.speed_command = speed_control(law, s, s_d, s_d_rate, s_min, s_max)
+    u = speed_control(law, s, s_d, s_d_rate, s_min, s_max)
     c = law.c + law.c_speed * s_d * s_d
-    out.omega[1], out.omega[2] = turn_control(v, y_d, y_d_rate, c)
+    pitching, yawing = turn_control(v, y_d, y_d_rate, c)
+    return u, (0.0, pitching, yawing), s_d, y_d, flags
+
+
+@kernel
+def write_inputs(inputs: Values, out: Record) -> None:
+    """Write what `velocity_control` returns.
+
+    Args:
+        inputs: of the extended unicycle.
+        out: record of FOLLOWER: speed_command, omega, speed_desired, direction and
+            limiter_flags are written.
+    """
+    u, omega, s_d, y_d, flags = inputs
+    out.speed_command = u
+    out.omega[0], out.omega[1], out.omega[2] = omega
     out.speed_desired = s_d
     out.direction[0], out.direction[1], out.direction[2] = y_d
     out.limiter_flags = flags
+
+
+@kernel
+def reach_velocity(
+    law: Record, own_velocity: Vector, airspeed: float, p: Vector, p_rate: Vector
+) -> Values:
+    """Return what `velocity_control` does, for a desired velocity.
+
+    The horizontal variant uses no vertical components.
+
+    Args:
+        law: record of LAW.
+        own_velocity: q̇_i, m/s.
+        airspeed: m/s.
+        p: p_d, m/s; not zero.
+        p_rate: ṗ_d, m/s².
+    """
+    vertical_weight = 0.0 if law.horizontal else 1.0
+    v = (own_velocity[0], own_velocity[1], vertical_weight * own_velocity[2])
+    desired = speed_and_direction(
+        (p[0], p[1], vertical_weight * p[2]), (p_rate[0], p_rate[1], vertical_weight * p_rate[2])
+    )
+    return velocity_control(law, v, norm(v), airspeed, desired)
 
 
 @kernel

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from operator import attrgetter
 from typing import Any
 
@@ -16,7 +15,7 @@ from testbed.core.records import Array, FbwaCommand, Records, allocate
 from testbed.core.speed_model import OwnSpeedModel, speed_model_records
 from testbed.core.speed_model import make_own as make_speed_model
 from testbed.flight.companion import Companions
-from testbed.flight.control import ControlGroup
+from testbed.flight.control import ControlGroup, law_name
 from testbed.flight.schedule import Clock
 from testbed.flight.world import BuiltControl
 from testbed.formation import barrier, control_function
@@ -61,11 +60,9 @@ def build_control(fleet: FormationPlan, controller: Controller, clock: Clock) ->
         if not builtin:
             indices = list(rows)
             hbh23 = Hbh23Law(law[indices], neighbours[indices])
-            user_law, origin = build_law(
-                controller.law, controller.options, replace(members, hbh23=hbh23)
-            )
+            user_law, origin = build_law(controller.law, controller.options, members, hbh23)
             _check_user_law(fleet.followers, members, user_law)
-            messages.append(f"the law {type(user_law).__name__} runs {origin}")
+            messages.append(f"the law {law_name(user_law)} runs {origin}")
         groups.append(ControlGroup(np.array(rows, dtype=np.intp), members, user_law))
     return BuiltControl(
         config,
@@ -87,7 +84,7 @@ def _check_user_law(
     unable = [name for name in config.names if name in unicycles]
     if command is FbwaCommand and unable:
         raise InputError(
-            f"controller.law: {type(law).__name__} commands fly-by-wire A, which a unicycle "
+            f"controller.law: {law_name(law)} commands fly-by-wire A, which a unicycle "
             f"cannot fly (write vehicle: jsbsim for {', '.join(unable)}, or return a "
             "UnicycleCommand)"
         )

@@ -12,7 +12,8 @@ import pickle
 import site
 import sys
 import sysconfig
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from importlib.metadata import distributions
 from pathlib import Path
 from types import ModuleType
@@ -21,55 +22,139 @@ from urllib.parse import unquote, urlsplit
 
 import numpy as np
 
+from testbed.core.code_digest import UnknownValueError, code_digest
 from testbed.core.errors import InputError, raise_memory_shortage
 from testbed.core.input_files import read_bounded
 from testbed.core.records import Array, FbwaCommand, Inbox, UnicycleCommand, VehicleState
-from testbed.flight.control import law_file, user_code_errors, validate_command
+from testbed.flight.control import law_file, law_name, user_code_errors, validate_command
+from testbed.formation.compiled_law import (
+    ARGUMENTS,
+    CompiledLaw,
+    describe_compile_error,
+    is_kernel,
+    python_function,
+)
+from testbed.formation.control_step import Hbh23Law
 from testbed.formation.law import FormationConfig, Law
 from testbed.scenario import Scenario, code_references, find_code, library, with_values
-from testbed.scenario.fields import KeyPath
+from testbed.scenario.fields import KeyPath, is_number
 
 
-def build_law(name: str, options: Mapping[str, Any], config: FormationConfig) -> tuple[Law, str]:
+def build_law(
+    name: str, options: Mapping[str, Any], config: FormationConfig, hbh23: Hbh23Law
+) -> tuple[Law, str]:
     """Import and construct the law of a scenario's `controller.law`.
 
     Args:
-        name: "module:Class" of a file in scenarios/ or an installed module, or
-            "path/of/file.py:Class".
-        options: keyword arguments for the class.
-        config: its first argument.
+        name: "module:name" of a file in scenarios/ or an installed module, or
+            "path/of/file.py:name", of a class or of a function under `@testbed.kernel`.
+        options: keyword arguments.
+        config: of its followers.
+        hbh23: their law of [HBH23], for one that extends it.
 
     Returns:
         The law, and a description of its code with the digest.
 
     Raises:
-        InputError: the module or class does not exist, or does not accept these options.
+        InputError: the module or name does not exist, does not accept these options, or cannot be
+            compiled.
     """
-    module_name, _, class_name = find_code(name).rpartition(":")
+    module_name, _, law_name = find_code(name).rpartition(":")
     module, origin = _import(module_name, "controller.law")
     with user_code_errors(origin):  # attributes of modules and classes can be code, too
-        found: Any = getattr(module, class_name, None)
-        if not isinstance(found, type):
-            classes = [n for n, each in vars(module).items() if inspect.isclass(each)]
+        found: Any = getattr(module, law_name, None)
+        compiled = is_kernel(found)
+    described = _describe(module_name, origin)
+    if compiled:
+        law, kept = _build_kernel(found, options, config, hbh23)
+        return law, f"{described}{kept}"
+    with user_code_errors(origin):
+        if hasattr(found, "py_func"):
             raise InputError(
-                f"controller.law: {origin} has no class {class_name!r} (it has "
-                f"{', '.join(classes) or 'none'})"
+                f"controller.law: {law_name} is compiled by numba alone (write @testbed.kernel in "
+                "place of its decorator)"
+            )
+        if not isinstance(found, type):
+            laws = [
+                n for n, each in vars(module).items() if inspect.isclass(each) or is_kernel(each)
+            ]
+            raise InputError(
+                f"controller.law: {origin} has no class {law_name!r}, and no function of this name "
+                f"under @testbed.kernel (it has {', '.join(laws) or 'none'})"
             )
         for method in ("start", "step"):
             if not callable(getattr(found, method, None)):
                 raise InputError(
-                    f"controller.law: {class_name} has no method {method} (a law has "
+                    f"controller.law: {law_name} has no method {method} (a law has "
                     "start(own) -> memory and step(now, own, inbox, memory) -> command, memory)"
                 )
-        try:
-            inspect.signature(found).bind(config, **options)
-        except TypeError as error:
-            raise InputError(
-                f"controller.options: {class_name}{inspect.signature(found)} cannot be built: "
-                f"{error}"
-            ) from error
+        config = replace(config, hbh23=hbh23)
+        _check_options(law_name, found, (config,), options)
         make = cast(Callable[..., Law], found)
-        return make(config, **options), _describe(module_name, origin)
+        return make(config, **options), described
+
+
+def _check_options(
+    name: str, function: Callable[..., Any], args: Sequence[object], options: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return the arguments of a call with the options, by name, with defaults."""
+    signature = inspect.signature(function)
+    try:
+        bound = signature.bind(*args, **options)
+    except TypeError as error:
+        raise InputError(
+            f"controller.options: {name}{signature} cannot be built: {error}"
+        ) from error
+    bound.apply_defaults()
+    return bound.arguments
+
+
+def _build_kernel(
+    found: Callable[..., Any],
+    options: Mapping[str, Any],
+    config: FormationConfig,
+    hbh23: Hbh23Law,
+) -> tuple[CompiledLaw, str]:
+    """Build a law under `@testbed.kernel`, and describe how its machine code is kept."""
+    function = python_function(found)
+    name, signature = function.__name__, inspect.signature(function)
+    parameters = list(signature.parameters.values())
+    plain = all(each.kind is each.POSITIONAL_OR_KEYWORD for each in parameters)
+    if not plain or len(parameters) < len(ARGUMENTS):
+        raise InputError(
+            f"controller.law: {name}{signature} has other arguments than a law (write "
+            f"{name}({', '.join(ARGUMENTS)}) and behind these one for each option)"
+        )
+    arguments = _check_options(name, function, ARGUMENTS, options)
+    values = tuple(
+        _kernel_option(each.name, arguments[each.name], each.default)
+        for each in parameters[len(ARGUMENTS) :]
+    )
+    digest, kept = None, ""
+    try:
+        digest = code_digest(found)
+    except UnknownValueError as error:
+        kept = (
+            f"; it is compiled for each run, as the value of {error} in it is no number, array or "
+            "function under @testbed.kernel"
+        )
+    try:
+        return CompiledLaw(found, config, hbh23.law, values, digest), kept
+    except Exception as error:  # numba's, of many classes
+        raise_memory_shortage(error)
+        raise InputError(f"controller.law: {describe_compile_error(error, found)}") from error
+
+
+def _kernel_option(name: str, value: Any, default: Any) -> Any:  # noqa: ANN401
+    """Return an option as a kernel takes it."""
+    if isinstance(value, list | tuple) and all(map(is_number, value)):
+        return tuple(map(float, value))
+    if isinstance(value, bool) or is_number(value):
+        return float(value) if isinstance(default, float) else value
+    raise InputError(
+        f"controller.options: {name} is {value!r} (an option of a law under @testbed.kernel is a "
+        "number, true or false, or a list of numbers)"
+    )
 
 
 def build_function(name: str, key: str) -> tuple[Callable[..., Array], str]:
@@ -465,4 +550,4 @@ def _same(ours: list[Command], theirs: list[Command]) -> bool:
 
 
 def _reject(law: Law, text: str) -> NoReturn:
-    raise InputError(f"controller.law: {type(law).__name__} {text}")
+    raise InputError(f"controller.law: {law_name(law)} {text}")

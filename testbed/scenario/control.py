@@ -288,11 +288,12 @@ class Controller(Section):
 
     law: LawName = Field(
         "hbh23",
-        description="Control law: hbh23 is [HBH23] (5) to (15); module:Class is your own law, from "
-        "module.py in the folder of this file or from an installed package.",
+        description="Control law: hbh23 is [HBH23] (5) to (15); module:Class is your own law, or "
+        "module:function if it is compiled, from module.py in the folder of this file or from an "
+        "installed package.",
     )
     options: Mapping[Name, LawOption] = Field(
-        {}, description="Keyword arguments of the class of your own law."
+        {}, description="Keyword arguments of the class or function of your own law."
     )
     profile: Name = Field(
         "tuned",

@@ -223,7 +223,8 @@ def test_law_missing_module_or_class_has_a_remedy(tmp_path):
     assert "no module 'nowhere' (write a nowhere.py beside the scenario" in build_error(
         write(tmp_path, law="nowhere:Straight")
     )
-    assert "has no class 'Curved' (it has" in build_error(write(tmp_path, law="mine:Curved"))
+    error = build_error(write(tmp_path, law="mine:Curved"))
+    assert "has no class 'Curved', and no function of this name under @testbed.kernel (it" in error
     with pytest.raises(InputError, match=r"there is no file .*gone\.py"):
         load_scenario(write(tmp_path, law="gone.py:Straight"))
     with pytest.raises(InputError, match="must be hbh23, or module:Class"):

@@ -141,6 +141,7 @@ def test_help_of_a_law_type_has_fields_and_units(name):
         "VehicleState": "(N, 3) roll, pitch, yaw, rad",
         "UnicycleCommand": "(0, pitch rate, yaw rate)",
         "FbwaCommand": "rad, nose up positive",
+        "FollowerConfig": "rad, of the fly-by-wire-A command",
         "FormationConfig": "forward, right, down in the leader's velocity frame",
         "command_from_velocity": "m/s over the ground, north, east, down",
     }

@@ -1,0 +1,507 @@
+"""Formation laws of users as kernels of one follower, which fly without Python in the tick."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from math import isfinite, nan
+from pathlib import Path
+from typing import Any, NamedTuple, TypeAlias, TypeVar, overload
+
+import numpy as np
+from numba.core import errors, types
+from numba.extending import overload as overload_in_kernels
+
+from testbed.core.call_list import NOW, Call
+from testbed.core.compile import checked_kernel, entry, entry_of_user_code
+from testbed.core.compile import kernel as core_kernel
+from testbed.core.field_docs import document_fields
+from testbed.core.records import (
+    Array,
+    FbwaCommand,
+    Inbox,
+    Indices,
+    Records,
+    UnicycleCommand,
+    Values,
+    VehicleState,
+    allocate,
+)
+from testbed.formation.law import FormationConfig
+
+F = TypeVar("F", bound=Callable[..., Any])
+LawOptions: TypeAlias = tuple[bool | int | float | tuple[float, ...], ...]
+ARGUMENTS = ("now", "own", "inbox", "memory", "config")  # of a law, before its options
+
+
+@document_fields
+class FollowerConfig(NamedTuple):
+    """The configuration of one follower: what `FormationConfig` has of it."""
+
+    agents: int  # its row among the N aircraft; the leader's is 0
+    offsets: Array  # (N, 3) υ, m: forward, right, down in the leader's velocity frame; leader zero
+    gains: Array  # (N, 3) β_i in row 0, β_ij behind it, per axis of NED
+    speed_min: float  # m/s, lower bound of the ground speed
+    speed_max: float  # m/s, upper bound
+    speed_pole: float  # 1/s, p of the speed model ṡ = p (u − s)
+    pitch_limit: float  # rad, of the fly-by-wire-A command
+    roll_limit: float  # rad
+    trim_throttle: float  # 0..1, for level flight at trim_airspeed
+    trim_airspeed: float  # m/s
+    dt: float  # s, between two steps
+    leader_timeout_s: float  # s since the last message, after which the leader is not used
+    neighbour_timeout_s: float  # s, the same for a neighbour
+    hbh23: Records  # (1,) of LAW: the scenario's gains, for `command_from_velocity`
+
+
+@overload
+def kernel(function: F) -> F: ...
+
+
+@overload
+def kernel(*, memory: object = None) -> Callable[[F], F]: ...
+
+
+def kernel(function: F | None = None, *, memory: object = None) -> F | Callable[[F], F]:
+    """Compile a formation law of one follower, or a function that such a law calls.
+
+        @testbed.kernel
+        def chase(now, own, inbox, memory, config, closing=0.3):
+            ...
+            return command_from_velocity(config, own, velocity_ned)
+
+    In a scenario it is `controller: {law: "module:chase"}`. numba compiles it, and it flies with no
+    Python in the tick. Its arguments are those of `testbed.law.Law.step`, with the same field
+    names, of one follower: row i of each array, so `own.position_ned` is (3,) and
+    `inbox.position_ned` (N, 3). `own`, `inbox` and `config` cannot be written. It returns a
+    `UnicycleCommand` of numbers and triples, or an `FbwaCommand` of numbers.
+
+    - `config` has the fields of `testbed.law.FormationConfig` but `names`; `config.agents` is the
+      follower's row among the N aircraft.
+    - `memory` is a record, which the law writes in place and which is zero before the first step;
+      None without the argument `memory`.
+    - Arguments behind `config` are `controller.options`: numbers, booleans, or lists of numbers,
+      which are tuples of floats here.
+
+    Division by zero is infinite or NaN, an index out of bounds an error, as is a command that is
+    not finite. With NUMBA_DISABLE_JIT=1 in the environment a kernel runs as Python.
+
+    Args:
+        function: the law, or a function.
+        memory: fields of the law's memory, as of a numpy dtype: `[("integral", float, 3)]`.
+
+    Raises:
+        ValueError: `memory` is no list of fields with numbers.
+    """
+    dtype = None if memory is None else _memory_dtype(memory)
+
+    def compile_law(function: F) -> F:
+        compiled = checked_kernel(function)
+        compiled.law_memory = dtype  # type: ignore[attr-defined]
+        return compiled
+
+    return compile_law if function is None else compile_law(function)
+
+
+def _memory_dtype(value: Any) -> np.dtype[Any]:  # noqa: ANN401
+    try:
+        dtype: np.dtype[Any] = np.dtype(value, align=True)
+    except (TypeError, ValueError):
+        dtype = np.dtype(object)
+    if not dtype.names or any(dtype[name].base.kind not in "biuf" for name in dtype.names):
+        raise ValueError(
+            "memory is no list of fields with numbers (write memory=[('integral', float, 3)])"
+        )
+    return dtype
+
+
+def is_kernel(value: object) -> bool:
+    """Return whether a value is a function under `@testbed.kernel`."""
+    return hasattr(value, "law_memory")
+
+
+def python_function(law: Any) -> Callable[..., Any]:  # noqa: ANN401 - numba's dispatcher
+    """Return the Python function of a kernel."""
+    function: Callable[..., Any] = getattr(law, "py_func", law)
+    return function
+
+
+class LawCommand(NamedTuple):
+    """Commands of the n followers of a user's law; the one or the other is valid."""
+
+    kind: Indices  # (1,) UNICYCLE or FBWA; 0: neither yet
+    unicycle: UnicycleCommand  # (n)
+    fbwa: FbwaCommand[Array]  # (n)
+
+    @property
+    def valid(self) -> UnicycleCommand | FbwaCommand[Array]:
+        """The command that the law returns."""
+        return self.unicycle if self.kind[0] == UNICYCLE else self.fbwa
+
+    def put(self, command: UnicycleCommand | FbwaCommand[Array]) -> None:
+        """Copy a command of full shape."""
+        self.kind[0] = UNICYCLE if isinstance(command, UnicycleCommand) else FBWA
+        ours: tuple[np.ndarray, ...] = self.valid
+        for array, values in zip(ours, command, strict=True):
+            array[:] = values
+
+
+UNICYCLE, FBWA = 1, 2
+
+
+def allocate_command(n: int) -> LawCommand:
+    """Return commands of n followers, of no kind yet."""
+    speeds, angles = np.zeros((2, n)), np.zeros((3, n))
+    vectors, flags = np.zeros((2, n, 3)), np.zeros(n, dtype=np.uint8)
+    unicycle = UnicycleCommand(speeds[0], vectors[0], speeds[1], vectors[1], flags)
+    return LawCommand(np.zeros(1, dtype=np.intp), unicycle, FbwaCommand(*angles))
+
+
+class CompiledLaw:
+    """A user's kernel as the law of n followers.
+
+    Attributes:
+        name: of the kernel.
+        file: of its code.
+        own: (n) estimates that `call` steps the law with.
+        inbox: (n, N) messages that it does.
+        command: that it writes.
+        call: step all followers; returns something but 0 where `raise_error` has something to say.
+    """
+
+    __slots__ = (
+        *("name", "file", "own", "inbox", "command", "call"),
+        *("_kernel", "_config", "_options", "_memory", "_failed"),
+    )
+
+    def __init__(
+        self,
+        law: Any,  # noqa: ANN401 - numba's dispatcher
+        config: FormationConfig,
+        hbh23: Records,
+        options: LawOptions,
+        digest: str | None,
+    ) -> None:
+        """Compile the law, or load its machine code.
+
+        Args:
+            law: under `@kernel`.
+            config: of its followers.
+            hbh23: (n,) of LAW, for `command_from_velocity`.
+            options: further arguments.
+            digest: of its code; None: its machine code is not kept on disk.
+
+        Raises:
+            Exception: numba's, for what it cannot compile.
+        """
+        function = python_function(law)
+        self.name, self.file = function.__name__, function.__code__.co_filename
+        n, aircraft = config.gains.shape[:2]
+        self.own = VehicleState(*np.zeros((5, n, 3)), *np.zeros((2, n)))
+        self.inbox = Inbox(*np.zeros((2, n, aircraft)), *np.zeros((5, n, aircraft, 3)))
+        self.command, self._options = allocate_command(n), options
+        self._kernel = law
+        names = (each for each in FollowerConfig._fields if each != "hbh23")
+        values: Any = {each: _read_only(getattr(config, each)) for each in names}
+        # the fields of each follower are arrays (n, …)
+        self._config = FollowerConfig(**values, hbh23=hbh23)
+        memory: np.dtype[Any] | None = law.law_memory
+        self._memory = None if memory is None else allocate(memory, n)
+        self._failed = np.zeros(1, dtype=np.intp)  # follower + 1; 0: none
+        own, inbox = (type(each)(*map(_read_only, each)) for each in (self.own, self.inbox))
+        self.call = Call(
+            entry_of_user_code(_make_step(law, memory is not None), digest),
+            *(own, inbox, () if self._memory is None else self._memory),
+            *(self._config, options, self.command, self._failed, NOW),
+        )
+        self.call.prepare()
+
+    def start(self, own: VehicleState) -> Records | None:
+        """Return the memory (n,) before the first step."""
+        return None if self._memory is None else np.zeros_like(self._memory)
+
+    def step(
+        self, now: float, own: VehicleState, inbox: Inbox, memory: Records | None
+    ) -> tuple[UnicycleCommand | FbwaCommand[Array], Records | None]:
+        """Step all followers; see `law.Law`."""
+        for ours, theirs in zip((*self.own, *self.inbox), (*own, *inbox), strict=True):
+            ours[:] = theirs
+        after = None
+        if self._memory is not None:
+            self._memory[:] = memory
+        self.call(now)
+        if self._failed[0]:
+            self.raise_error(now)
+        if self._memory is not None:
+            after = self._memory.copy()
+            self._memory[:] = np.zeros((), dtype=self._memory.dtype)
+        command: Any = self.command.valid
+        return type(command)(*(each.copy() for each in command)), after
+
+    def raise_error(self, now: float) -> None:
+        """Raise the exception of the last step, if there was one, by running it as Python."""
+        if not self._failed[0]:
+            return
+        row = int(self._failed[0]) - 1
+        config = self._config._replace(hbh23=self._config.hbh23.view(np.recarray))
+        one = python_function(follower_config)(config, row)
+        own, inbox = (type(each)(*(x[row] for x in each)) for each in (self.own, self.inbox))
+        memory = None if self._memory is None else self._memory.view(np.recarray)[row]
+        law = python_function(self._kernel)
+        write_command(law(now, own, inbox, memory, one, *self._options), row, self.command)
+        raise ValueError(f"an exception at {now:g} s, for follower {row + 1} of this law")
+
+
+def _read_only(value: Any) -> Any:  # noqa: ANN401
+    """View an array so that kernels cannot write it; numbers stay as they are."""
+    if not isinstance(value, np.ndarray):
+        return value
+    view = np.ascontiguousarray(value).view()
+    view.flags.writeable = False
+    return view
+
+
+def _make_step(law: Callable[..., Any], has_memory: bool) -> Callable[..., int]:
+    """Return the entry that steps a law for n followers.
+
+    It returns whether a follower's law has raised an exception, or its command is not finite.
+    """
+    if has_memory:
+
+        def step_follower(
+            now: float, own: Values, inbox: Values, memory: Records, i: int, rest: Values
+        ) -> Values:
+            config, options = rest
+            return law(now, own, inbox, memory[i], config, *options)
+    else:
+
+        def step_follower(
+            now: float, own: Values, inbox: Values, memory: Records, i: int, rest: Values
+        ) -> Values:
+            config, options = rest
+            return law(now, own, inbox, None, config, *options)
+
+    step_one = checked_kernel(step_follower)
+
+    def step_law(
+        own: VehicleState,
+        inbox: Inbox,
+        memory: Records,
+        config: Values,
+        options: Values,
+        command: LawCommand,
+        failed: Indices,
+        now: float,
+    ) -> int:
+        failed[0] = 0
+        finite = True
+        for i in range(len(own.airspeed)):
+            state, received, one = own_state(own, i), messages(inbox, i), follower_config(config, i)
+            try:
+                found = step_one(now, state, received, memory, i, (one, options))
+                finite &= write_command(found, i, command)
+            except Exception:  # whatever the law raises
+                failed[0] = i + 1
+                return 1
+        return 0 if finite else 1
+
+    return step_law
+
+
+@core_kernel
+def own_state(own: VehicleState, i: int) -> VehicleState:
+    """Return the estimate of one of n followers."""
+    return VehicleState(
+        own.position_ned[i],
+        own.velocity_ned[i],
+        own.acceleration_ned[i],
+        own.euler[i],
+        own.rates_body[i],
+        own.airspeed[i],
+        own.equivalent_airspeed[i],
+    )
+
+
+@core_kernel
+def messages(inbox: Inbox, i: int) -> Inbox:
+    """Return the messages that one of n followers has received."""
+    return Inbox(
+        inbox.stamp_s[i],
+        inbox.received_s[i],
+        inbox.position_ned[i],
+        inbox.velocity_ned[i],
+        inbox.acceleration_ned[i],
+        inbox.euler[i],
+        inbox.euler_rates[i],
+    )
+
+
+@core_kernel
+def follower_config(config: Values, i: int) -> FollowerConfig:
+    """Return the configuration of one of n followers, of a FollowerConfig of their arrays."""
+    return FollowerConfig(
+        config.agents[i],
+        config.offsets,
+        config.gains[i],
+        config.speed_min[i],
+        config.speed_max[i],
+        config.speed_pole[i],
+        config.pitch_limit[i],
+        config.roll_limit[i],
+        config.trim_throttle[i],
+        config.trim_airspeed[i],
+        config.dt,
+        config.leader_timeout_s,
+        config.neighbour_timeout_s,
+        config.hbh23[i : i + 1],
+    )
+
+
+def write_command(found: Any, i: int, command: LawCommand) -> bool:  # noqa: ANN401
+    """Write what a law returned for follower i; return whether it is finite.
+
+    Kernels call it, too: then an error is one of numba's.
+
+    Raises:
+        ValueError: it is no command, or a vector has not three numbers.
+    """
+    writer = _WRITERS.get(type(found))
+    if writer is None:
+        raise ValueError(f"returns {type(found).__name__} ({_RETURNS})")
+    return bool(python_function(writer)(found, i, command))
+
+
+_RETURNS = "return a UnicycleCommand or an FbwaCommand"
+
+
+def require_vector(name: str, value: Any) -> None:  # noqa: ANN401 - a type of numba's
+    """Raise numba's error unless a type is that of three numbers or of an array (k,)."""
+    array = isinstance(value, types.Array) and value.ndim == 1
+    if not array and not (isinstance(value, types.BaseTuple) and len(value) == 3):
+        raise errors.TypingError(f"{name} is {value} (write 3 numbers)")
+
+
+def _writer_in_kernels(found: Any) -> Any:  # noqa: ANN401 - a type of numba's
+    """Return what kernels compile in place of `write_command`."""
+    kind = getattr(found, "instance_class", None)
+    if kind not in _WRITERS:
+        raise errors.TypingError(f"the law returns {found} ({_RETURNS})")
+    for name, value in zip(found.fields, found, strict=True):
+        if name in ("omega", "direction"):
+            require_vector(f"{name} of the law's command", value)
+        elif not isinstance(value, types.Number | types.Boolean | types.IntEnumMember):
+            remedy = "its .value" if isinstance(value, types.EnumMember) else "a number"
+            raise errors.TypingError(f"{name} of the law's command is {value} (write {remedy})")
+    writer = _WRITERS[kind]
+    return lambda found, i, command: writer(found, i, command)
+
+
+overload_in_kernels(write_command)(lambda found, i, command: _writer_in_kernels(found))
+
+
+@checked_kernel
+def _write_unicycle(found: UnicycleCommand, i: int, command: LawCommand) -> bool:
+    omega, direction, out = found.omega, found.direction, command.unicycle
+    if len(omega) != 3 or len(direction) != 3:
+        raise ValueError("omega or direction of the law's command has not 3 numbers")
+    command.kind[0] = UNICYCLE
+    out.speed[i], out.speed_desired[i] = found.speed, found.speed_desired
+    out.omega[i, 0], out.omega[i, 1], out.omega[i, 2] = omega[0], omega[1], omega[2]
+    out.direction[i, 0], out.direction[i, 1] = direction[0], direction[1]
+    out.direction[i, 2] = direction[2]
+    out.limiter_flags[i] = found.limiter_flags
+    finite = isfinite(out.speed[i]) and isfinite(out.speed_desired[i])
+    for k in range(3):
+        finite = finite and isfinite(out.omega[i, k]) and isfinite(out.direction[i, k])
+    return finite
+
+
+@checked_kernel
+def _write_fbwa(found: FbwaCommand[float], i: int, command: LawCommand) -> bool:
+    command.kind[0], out = FBWA, command.fbwa
+    out.pitch[i], out.roll[i], out.throttle[i] = found.pitch, found.roll, found.throttle
+    return isfinite(found.pitch) and isfinite(found.roll) and isfinite(found.throttle)
+
+
+_WRITERS: dict[type, Any] = {UnicycleCommand: _write_unicycle, FbwaCommand: _write_fbwa}
+
+
+@entry
+def give_inputs(
+    rows: Indices,
+    aircraft: Records,
+    links: Records,
+    neighbours: Records,
+    own: VehicleState,
+    inbox: Inbox,
+) -> None:
+    """Copy what a user's law may read to the inputs of its next step.
+
+    Args:
+        rows: (m,) of the followers.
+        aircraft: (N,) of AIRCRAFT, with the estimates.
+        links: (n, N) of LINK.
+        neighbours: (n, N) of NEIGHBOUR; of those that are excluded the law has no message.
+        own: (m); written.
+        inbox: (m, N); written.
+    """
+    for k in range(len(rows)):
+        estimate = aircraft[rows[k] + 1].estimate
+        own.airspeed[k] = estimate.airspeed
+        own.equivalent_airspeed[k] = estimate.equivalent_airspeed
+        for axis in range(3):
+            own.position_ned[k, axis] = estimate.position_ned[axis]
+            own.velocity_ned[k, axis] = estimate.velocity_ned[axis]
+            own.acceleration_ned[k, axis] = estimate.acceleration_ned[axis]
+            own.euler[k, axis] = estimate.euler[axis]
+            own.rates_body[k, axis] = estimate.rates_body[axis]
+        for j in range(links.shape[1]):
+            link, excluded = links[rows[k], j], neighbours[rows[k], j].excluded
+            inbox.stamp_s[k, j] = nan if excluded else link.stamp_s
+            inbox.received_s[k, j] = nan if excluded else link.received_s
+            for axis in range(3):
+                inbox.position_ned[k, j, axis] = nan if excluded else link.position_ned[axis]
+                inbox.velocity_ned[k, j, axis] = nan if excluded else link.velocity_ned[axis]
+                acceleration = nan if excluded else link.acceleration_ned[axis]
+                inbox.acceleration_ned[k, j, axis] = acceleration
+                inbox.euler[k, j, axis] = nan if excluded else link.euler[axis]
+                inbox.euler_rates[k, j, axis] = nan if excluded else link.euler_rates[axis]
+
+
+_ANSI = re.compile(r"\x1b\[[0-9;]*m")
+_HEADING = "Failed in nopython mode pipeline"
+_SPECIFIC = re.compile(r"^\s*\w+Error: (?!Failed in )(.+)$", re.M)
+_NO_CALL = re.compile(r"^\s*>>> (.+)$", re.M)
+_RAISED_FROM = re.compile(r"\.* *Raised from .*")
+
+
+def describe_compile_error(error: Exception, law: Callable[..., Any]) -> str:
+    """Return in one line where and why numba cannot compile a law."""
+    function = python_function(law)
+    file = function.__code__.co_filename
+    text = _ANSI.sub("", str(error))
+    name = re.escape(Path(file).name)
+    place = re.search(rf'{name}(?:", line |:| \()(\d+)', f"{text} {getattr(error, 'loc', '')}")
+    line = place[1] if place else function.__code__.co_firstlineno
+    lines = (each.strip() for each in text.splitlines())
+    reason = next((each for each in lines if each and not each.startswith(_HEADING)), "")
+    if specific := _SPECIFIC.findall(text):
+        reason = specific[-1]
+    elif call := _NO_CALL.search(text):
+        reason = f"numba has no {call[1]}"
+    reason = _RAISED_FROM.sub("", _without_fields(reason))
+    return f"{file}:{line}: {function.__name__} cannot be compiled: {reason.rstrip('.')}"
+
+
+def _without_fields(text: str) -> str:
+    """Remove the types of the fields behind the names of named tuples."""
+    for kind in (VehicleState, Inbox, FollowerConfig, UnicycleCommand, FbwaCommand, LawCommand):
+        while (at := text.find(f"{kind.__name__}(")) >= 0:
+            begin = end = at + len(kind.__name__)
+            depth = 0
+            for end in range(begin, len(text)):
+                depth += {"(": 1, ")": -1}.get(text[end], 0)
+                if not depth:
+                    break
+            text = text[:begin] + text[end + 1 :]
+    return text
