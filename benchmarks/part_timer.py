@@ -20,6 +20,7 @@ from testbed.core.records import Event, Observer, RunInfo, Sample
 from testbed.flight import loop
 from testbed.flight.stages import Stage
 from testbed.flight.tick_loop import TickLoop
+from testbed.metrics import MetricsObserver
 from testbed.sensors.estimators import StateEstimators
 from testbed.vehicle.fleet import JsbsimFleet
 
@@ -34,7 +35,7 @@ PARTS: Mapping[str, str] = {
     "control": "formation law and middle loop",
     "events": "monitors: losses, limits, timeouts and message ages, faults, joining",
     "metrics": "the metrics of the run",
-    "log": "the MCAP file",
+    "log": "copies of samples, the MCAP file",
     "loop": "schedule, and everything between the parts",
 }
 
@@ -79,18 +80,16 @@ STAGES: Mapping[str, Sequence[str]] = {
         "give events and a sample to observers",
         "wait for the caller",
     ],
+    "log": ["append a sample", "take a full block of samples"],
 }
-STAGES_OF_FILES = {
-    part: [f"append a sample to the {part}", f"take a full block of the {part}"]
-    for part in ("metrics", "log")
-}
-_PART_OF = {name: part for part, names in {**STAGES, **STAGES_OF_FILES}.items() for name in names}
+_PART_OF = {name: part for part, names in STAGES.items() for name in names}
 
 TIMED_METHODS: Mapping[str, Sequence[tuple[type, str]]] = {
     "physics": [(JsbsimFleet, "_run_models")],
     "properties": [(JsbsimFleet, "run"), (JsbsimFleet, "read_air")],
     "air": [(Atmosphere, "active_gusts")],
     "sensing": [(StateEstimators, "warm_up")],
+    "metrics": [(MetricsObserver, "take_block")],
 }
 
 

@@ -11,6 +11,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from testbed.core.version import __version__
+
 if TYPE_CHECKING:
     from testbed.flight.stages import FlightRecords, UserStage
     from testbed.formation.compiled_law import kernel
@@ -21,7 +23,6 @@ if TYPE_CHECKING:
     from testbed.runs.single_aircraft import Aircraft
     from testbed.scenario.load import load_scenario
 
-__version__ = "0.1.0"
 __all__ = [
     "Aircraft",
     "Batch",

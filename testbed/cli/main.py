@@ -17,12 +17,12 @@ from typing import Annotated, Any, Final, get_args, get_type_hints
 import typer
 from typer.core import TyperCommand, TyperGroup, TyperOption
 
-from testbed import __version__
 from testbed.cli.exit_codes import EXIT_CODES_HELP, ExitCode
 from testbed.cli.output import guard_standard_streams
 from testbed.core.errors import ExternalProgramLost, InputError, memory_shortage
 from testbed.core.interrupts import count_sigint
 from testbed.core.numbers import parse_number
+from testbed.core.version import __version__
 
 MARKUP: Final = "rich"
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from typing import Any
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,8 @@ from testbed.core.records import (
     FOLLOWER,
     ActuatorCommand,
     Array,
+    BoolArray,
+    Event,
     FbwaCommand,
     FormationState,
     Indices,
@@ -30,46 +33,56 @@ from testbed.core.records import (
 )
 
 Columns = Mapping[str, NDArray[Any]]  # (K, ...) by source, the path from Sample
+_BLOCK_AIRCRAFT_SAMPLES = 800
+
+
+def block_samples(aircraft: int) -> int:
+    """Return the samples of a full block."""
+    return min(max(_BLOCK_AIRCRAFT_SAMPLES // aircraft, 10), 200)
+
+
+class SampleRows(NamedTuple):
+    """K consecutive samples as columns: views of a buffer."""
+
+    ticks: NDArray[np.int64]  # (K,) of the base rate
+    columns: Columns
+    inexact: BoolArray  # (K,) whether estimates differ from the truth
 
 
 class SampleBuffer:
-    """A buffer for samples of N aircraft.
+    """A buffer for a block of samples of N aircraft; a sample after a full block starts the next.
 
     Args:
-        capacity: K samples.
-        count: N.
-
-    Attributes:
-        capacity: K.
+        aircraft: N.
     """
 
-    def __init__(self, capacity: int, count: int) -> None:
+    def __init__(self, aircraft: int) -> None:
         """See the class."""
-        self.capacity = capacity
-        self._ticks, self._count = np.zeros(capacity, np.int64), np.zeros(1, np.int64)
-        self._inexact: NDArray[np.bool_] = np.zeros(capacity, dtype=bool)
-        self._aircraft = allocate(AIRCRAFT, capacity, count)
-        self._followers = allocate(FOLLOWER, capacity, count - 1)
-        shape = capacity, count - 1, count
-        self._links: dict[str, NDArray[Any]] = {
-            "age_s": np.empty(shape),
-            "sent": np.empty(shape, np.uint32),
-            "delivered": np.empty(shape, np.uint32),
+        capacity = block_samples(aircraft)
+        self._ticks = np.zeros(capacity, np.int64)
+        self._count = np.zeros(2, np.int64)  # samples of the block, and of all blocks
+        self._inexact: BoolArray = np.zeros(capacity, dtype=bool)
+        self._aircraft = allocate(AIRCRAFT, capacity, aircraft)
+        self._followers = allocate(FOLLOWER, capacity, aircraft - 1)
+        shape = capacity, aircraft - 1, aircraft
+        age_s = np.empty(shape)
+        counters = LinkCounters(np.empty(shape, np.uint32), np.empty(shape, np.uint32))
+        self._links = age_s, *counters
+        views = _view_aircraft(self._aircraft) | {
+            "formation": fields_of(FormationState, self._followers, age_s=age_s),
+            "links": counters,
         }
-
-    def __len__(self) -> int:
-        """Return the number of samples that are there."""
-        return int(self._count[0])
-
-    @property
-    def ticks(self) -> NDArray[np.int64]:
-        """Ticks of the samples (k,)."""
-        return self._ticks[: len(self)]
+        self._columns = {
+            f"{name}.{field}": array
+            for name, values in views.items()
+            for field, array in values._asdict().items()
+        }
+        self._columns["lost"] = self._aircraft["lost"]
 
     @property
-    def inexact(self) -> NDArray[np.bool_]:
-        """Which samples (k,) have estimates that are not exact."""
-        return self._inexact[: len(self)]
+    def total(self) -> int:
+        """Number of samples since the buffer was made."""
+        return int(self._count[1])
 
     def bind(self, records: tuple[Records, Records, Records], rate_hz: int, *, exact: bool) -> Call:
         """Return the call that appends a sample of a flight.
@@ -83,16 +96,21 @@ class SampleBuffer:
         return Call(_append, *self._rows, *records, float(rate_hz), NOW)
 
     def full_call(self) -> Call:
-        """Return the call that returns whether the buffer is full."""
-        return Call(_is_full, self._count, self.capacity)
+        """Return the call that returns whether the block is full."""
+        return Call(_is_full, self._count, len(self._ticks))
+
+    @property
+    def is_full(self) -> bool:
+        """Whether the next sample starts another block."""
+        return int(self._count[0]) == len(self._ticks)
 
     @property
     def _rows(self) -> tuple[Any, ...]:
-        return self._ticks, self._count, self._aircraft, self._followers, *self._links.values()
+        return self._ticks, self._count, self._aircraft, self._followers, *self._links
 
     def unused_arrays(self) -> Iterable[NDArray[Any]]:
-        """Return the arrays of an empty buffer, whose numbers are written before they are read."""
-        return () if len(self) else (each for each in self._rows if each is not self._count)
+        """Return the arrays of a new buffer, which are written before they are read."""
+        return () if self.total else (each for each in self._rows if each is not self._count)
 
     def append(self, sample: Sample) -> None:
         """Copy a sample.
@@ -100,7 +118,7 @@ class SampleBuffer:
         Raises:
             ValueError: it has another number of aircraft, or a field of another shape or dtype.
         """
-        count, size = len(self), len(sample.truth.airspeed)
+        row, size = int(self._count[0]) % len(self._ticks), len(sample.truth.airspeed)
         if size != self._aircraft.shape[1]:
             raise ValueError(
                 f"the sample has {size} aircraft, the run has {self._aircraft.shape[1]}"
@@ -109,45 +127,72 @@ class SampleBuffer:
             append: Any = _append
             append(*self._rows, *sample.records, 1.0, float(sample.tick))
         else:
-            self._copy(sample, count)
-            self._ticks[count] = sample.tick
-            self._count += 1
-        self._inexact[count] = sample.estimate is not sample.truth
+            self._copy(sample, row)
+            self._ticks[row] = sample.tick
+            self._count[:] = row + 1, self.total + 1
+        self._inexact[row] = sample.estimate is not sample.truth
 
-    def _copy(self, sample: Sample, count: int) -> None:
-        aircraft, formation = self._aircraft[count], sample.formation
-        for name, targets in _view_aircraft(aircraft).items():
-            for field, array in getattr(sample, name)._asdict().items():
-                _write(array, getattr(targets, field), f"{name}.{field}")
-        _write(sample.lost, aircraft["lost"], "lost")
-        for name in formation._fields:
-            known = name in self._links
-            target = self._links[name][count] if known else self._followers[count][name]
-            _write(getattr(formation, name), target, f"formation.{name}")
-        for name, array in zip(LinkCounters._fields, sample.links, strict=True):
-            _write(array, self._links[name][count], f"links.{name}")
+    def _copy(self, sample: Sample, row: int) -> None:
+        for path, column in self._columns.items():
+            name, _, field = path.partition(".")
+            value = getattr(sample, name)
+            _write(getattr(value, field) if field else value, column[row], path)
 
-    def columns(self) -> Columns:
-        """Return the samples as columns: views, which last until the next `append`."""
-        count = len(self)
-        aircraft, followers = self._aircraft[:count], self._followers[:count]
-        columns = {
-            f"{name}.{field}": array
-            for name, values in _view_aircraft(aircraft).items()
-            for field, array in values._asdict().items()
-        }
-        columns["lost"] = aircraft["lost"]
-        for field in FormationState._fields:
-            known = field in (FOLLOWER.names or ())
-            rows = followers[field] if known else self._links[field][:count]
-            columns[f"formation.{field}"] = rows
-        for field in LinkCounters._fields:
-            columns[f"links.{field}"] = self._links[field][:count]
-        return columns
+    def since(self, taken: int) -> SampleRows:
+        """Return the samples of the block after the first `taken` of all blocks.
 
-    def clear(self) -> None:
-        """Forget the samples."""
-        self._count[0] = 0
+        They are views, which last until the next block.
+        """
+        end, total = self._count.tolist()
+        rows = slice(end - (total - taken), end)
+        columns = {source: column[rows] for source, column in self._columns.items()}
+        return SampleRows(self._ticks[rows], columns, self._inexact[rows])
+
+
+class BlockObserver(ABC):
+    """An observer that takes samples in blocks: of a flight, which shares a buffer, or one by one.
+
+    A subclass calls `_begin_blocks` in `begin`, and takes what is left of a block at the end.
+    """
+
+    zero_copy = True  # holds no array of a sample
+    _buffer: SampleBuffer | None = None
+
+    def share(self, buffer: SampleBuffer) -> None:
+        """Take the samples that the buffer gets from now on; before `begin`."""
+        self._buffer, self._taken = buffer, buffer.total
+
+    @abstractmethod
+    def add_events(self, events: Sequence[Event]) -> None:
+        """Take the events since the last sample, which is in the buffer."""
+
+    @abstractmethod
+    def take_block(self) -> None:
+        """Take the new samples of the buffer, which is full."""
+
+    def observe(self, sample: Sample) -> None:
+        """Copy a sample where no buffer is shared; take the block when it is full."""
+        assert self._buffer is not None, "the run has begun"
+        self._buffer.append(sample)
+        self.add_events(sample.events)
+        if self._buffer.is_full:
+            self.take_block()
+
+    def _begin_blocks(self, aircraft: int) -> None:
+        """Start with the next sample of N aircraft."""
+        self.share(SampleBuffer(aircraft) if self._buffer is None else self._buffer)
+
+    @property
+    def _new(self) -> SampleRows:
+        """The samples that were not taken."""
+        assert self._buffer is not None, "the run has begun"
+        return self._buffer.since(self._taken)
+
+    def _take(self) -> SampleRows:
+        """Take the samples that were not taken."""
+        new = self._new
+        self._taken += len(new.ticks)
+        return new
 
 
 def _write(array: NDArray[Any], target: NDArray[Any], name: str) -> None:
@@ -180,7 +225,7 @@ def _append(
     now: float,
 ) -> None:
     """Copy one sample to the next row: numpy takes 20 times as long, field by field."""
-    row = count[0]
+    row = count[0] % len(ticks)
     ticks[row] = round(now * rate_hz)
     for i in range(len(aircraft)):
         all_aircraft[row, i] = aircraft[i]
@@ -191,6 +236,7 @@ def _append(
             age_s[row, i, m] = link.age_s
             sent[row, i, m], delivered[row, i, m] = link.sent, link.delivered
     count[0] = row + 1
+    count[1] += 1
 
 
 @entry

@@ -26,7 +26,7 @@ from testbed.core.samples import make_sample
 from testbed.core.saved_state import Replayed
 from testbed.flight.formation_stages import FormationStages
 from testbed.flight.monitors import GustMonitor, LossMonitor
-from testbed.flight.observers import EventQueue, Observers, take_block
+from testbed.flight.observers import EventQueue, Observers
 from testbed.flight.schedule import TickActions
 from testbed.flight.stages import (
     FlightRecords,
@@ -97,7 +97,7 @@ class Flight:
             world.names, world.lowest_m, world.proximity, world.faults, fly_on=world.fly_on
         )
         self._gust_monitor = GustMonitor(world.gusts, world.names)
-        self._observers = Observers(observers)
+        self._observers = Observers(observers, n)
         self._sample = make_sample(
             aircraft, followers, links, exact=self._exact, faults=world.faults is not None
         )
@@ -246,29 +246,26 @@ class Flight:
         yield from self._giving_samples()
 
     def _giving_samples(self) -> Iterator[Stage]:
-        """Samples for the observers: in blocks where they take these."""
+        """Samples for the observers: blocks to those that take these."""
         world, part, rate, observers = self._world, Part.OBSERVE, StageRate.LOG, self._observers
         if world.array_commands is not None and world.parts is not None:
             call = world.array_commands.clear_call(world.followers)
             yield Stage(part, rate, "clear what the law reports of commanded followers", call=call)
-        buffers = []
-        # where external programs command aircraft, a sample is not just a copy of the records
-        if world.external_control is None:
-            buffers = [(each, each.share(len(world.names))) for each in observers.of_blocks]
-        records = world.aircraft, world.followers, world.links
-        for each, buffer in buffers:
+        external, buffer = world.external_control is not None, observers.buffer
+        # where external programs command aircraft, a sample is not just a copy of the records:
+        # `_observe` appends it
+        if buffer is not None and not external:
+            records = world.aircraft, world.followers, world.links
             call = buffer.bind(records, world.clock.base_rate_hz, exact=self._exact)
-            yield Stage(part, rate, f"append a sample to the {each.takes_blocks}", call=call)
-        observers.divide([each for each, _ in buffers])
-        if observers.of_samples:
+            yield Stage(part, rate, "append a sample", call=call)
+        if observers.of_samples or external:
             yield Stage(part, rate, "give events and a sample to observers", then=self._observe)
         else:
             call = Call(has_events, self._events.waiting)
             yield Stage(part, rate, "give events to observers", call=call, then=self._observe)
-        for each, buffer in buffers:
-            call, then = buffer.full_call(), take_block(each)
-            name = f"take a full block of the {each.takes_blocks}"
-            yield Stage(part, rate, name, call=call, then=then)
+        if buffer is not None:
+            call, name = buffer.full_call(), "take a full block of samples"
+            yield Stage(part, rate, name, call=call, then=observers.take_block)
 
     def prepare(
         self,
@@ -460,9 +457,11 @@ class Flight:
                 records = world.aircraft, masked, world.links
                 formation = fields_of(FormationState, masked, age_s=world.links["age_s"])
                 sample = sample._replace(formation=formation, records=records)
-        events = self._events.take()
-        tick = self._world.clock.ticks(now)
-        self._observers.observe(sample._replace(tick=tick, time_s=now, events=events))
+        tick, events = world.clock.ticks(now), self._events.take()
+        sample = sample._replace(tick=tick, time_s=now, events=events)
+        if world.external_control is not None and self._observers.buffer is not None:
+            self._observers.buffer.append(sample)
+        self._observers.observe(sample)
         if self._losses.terminate:
             self.ending = "lost"
         elif world.envelope.terminate or world.proximity.terminate:

@@ -17,7 +17,7 @@ from testbed.core.files import replacement
 from testbed.core.frames import enu_from_ned, quaternion_xyzw
 from testbed.core.geodetic import geodetic_from_ned
 from testbed.core.records import Array, Event, RunInfo, Sample
-from testbed.core.samples import Columns, SampleBuffer
+from testbed.core.samples import BlockObserver, Columns, SampleRows
 from testbed.logs.foxglove_messages import FIX, LOG, TRANSFORMS, encode_event
 from testbed.logs.header import INFO_NAME, METADATA_NAME, metadata, to_json
 from testbed.logs.mcap_file import LogError, McapWriter, tail_path, topic_schema
@@ -43,7 +43,6 @@ FIX_HZ = 5
 # Wall time, at most, between writes of chunks or the tail: a killed run loses less than 0.5 s.
 FLUSH_S = 0.35
 _MIN_SLEEP_S = 0.005  # of the flushing thread
-_CHUNK_AIRCRAFT_SAMPLES = 800
 _NS = 10**9
 # Position and quaternion (x, y, z, w) of the NED frame in the east-north-up world that viewers
 # draw with z up.
@@ -59,10 +58,10 @@ class Addition(NamedTuple):
     data: bytes
 
 
-class McapRecorder:
+class McapRecorder(BlockObserver):
     """Write a run as MCAP: https://mcap.dev, protobuf, zstd, indexed.
 
-    A chunk ends after a number of samples that depends on the number of aircraft only, so that the
+    A chunk is a block of samples, whose number depends on the number of aircraft only, so that the
     same scenario and seed give the same bytes. Where that takes longer than `FLUSH_S` of wall time,
     the samples of the unfinished chunk are written to the tail, a file beside the log that readers
     add to an unfinished log, and that is removed at the end. A thread does so also while no sample
@@ -77,9 +76,6 @@ class McapRecorder:
         LogError: From all methods: the file cannot be written, or was removed or moved.
     """
 
-    zero_copy = True  # copies what it needs
-    takes_blocks = "log"
-
     def __init__(
         self, path: Path, additions: Iterable[Addition] = (), *, live: bool = True
     ) -> None:
@@ -90,7 +86,6 @@ class McapRecorder:
         self._added: dict[str, LogChannel] = {}  # by topic
         self._file: McapWriter | None = None
         self._process = os.getpid()
-        self._samples: SampleBuffer | None = None
         self._lock = threading.RLock()  # of everything below
         self._closed = threading.Event()
         self._writer_error: Exception | None = None  # raised in the thread
@@ -105,8 +100,7 @@ class McapRecorder:
             file.attachment(name, "text/x-python", code)
         file.attachment(INFO_NAME, "application/json", to_json(info).encode())
         self._encoder = _SampleEncoder(file, info)
-        if self._samples is None:
-            self.share(len(info.names))
+        self._begin_blocks(len(info.names))
         self._events: list[tuple[int, Event]] = []  # with the sample they follow in the chunk
         self._tail: tuple[int, int] = (0, 0)  # number of samples and events in it
         self._flushed = time.monotonic()
@@ -114,36 +108,22 @@ class McapRecorder:
         if self._live:
             threading.Thread(target=self._flush_loop, name="log-clock", daemon=True).start()
 
-    def share(self, aircraft: int) -> SampleBuffer:
-        """See `BlockObserver`."""
-        self._samples = SampleBuffer(chunk_samples(aircraft), aircraft)
-        return self._samples
-
     def add_events(self, events: Sequence[Event]) -> None:
         """See `BlockObserver`."""
         with self._writing():
-            number = len(self._buffer) - 1
+            number = len(self._new.ticks) - 1
             self._events.extend((number, event) for event in events)
 
     def take_block(self) -> None:
-        """Write the samples of the buffer as a chunk, and empty it."""
+        """Write the new samples of the buffer as a chunk."""
         with self._writing():
             self._flush()
-
-    @property
-    def _buffer(self) -> SampleBuffer:
-        assert self._samples is not None, "there is a buffer from `share` or `begin` on"
-        return self._samples
 
     def observe(self, sample: Sample) -> None:
         """Copy a sample; write the chunk when it is full, and the tail when that is old."""
         with self._writing():
-            buffer = self._buffer
-            buffer.append(sample)
-            self._events.extend((len(buffer) - 1, event) for event in sample.events)
-            if len(buffer) == buffer.capacity:
-                self._flush()
-            elif self._live and time.monotonic() - self._flushed > FLUSH_S:
+            super().observe(sample)
+            if self._live and time.monotonic() - self._flushed > FLUSH_S:
                 self._write_tail()
 
     def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:
@@ -153,13 +133,13 @@ class McapRecorder:
         metrics, after an error before the flight, nothing is attached: the run counts as cut.
         """
         with self._writing():
-            file = self._file
-            if file is None:
+            if self._file is None:
                 return
-            self._events.extend((len(self._buffer) - 1, event) for event in events)
+            self.add_events(events)
             self._flush()
             if summary:
-                file.attachment(METRICS_NAME, "application/json", timeless_json(summary).encode())
+                metrics = timeless_json(summary).encode()
+                self._file.attachment(METRICS_NAME, "application/json", metrics)
             self.close()
 
     def close(self) -> None:
@@ -216,15 +196,17 @@ class McapRecorder:
     def _flush(self) -> None:
         """Write a chunk."""
         if (file := self._file) is not None:
+            samples = self._take()
             with self._closed_by_errors():
-                file.write_chunk([*self._encode(file, self._encoder), *self._additional(file)])
-            self._buffer.clear()
+                encoded = self._encode(file, self._encoder, samples)
+                file.write_chunk([*encoded, *self._additional(file, samples.ticks)])
             self._events = []
         self._tail, self._flushed = (0, 0), time.monotonic()
 
     def _write_tail(self) -> None:
         """Write the samples and events since the last chunk to the tail."""
-        file, size = self._file, (len(self._buffer), len(self._events))
+        file, samples = self._file, self._new
+        size = len(samples.ticks), len(self._events)
         if file is not None and size != self._tail:
             with self._closed_by_errors():
                 file.flush()
@@ -233,7 +215,7 @@ class McapRecorder:
                         tail = McapWriter(path)
                         tail.continues(file)
                         encoder = _SampleEncoder(tail, self._info, after=self._encoder)
-                        tail.write_chunk([*self._encode(tail, encoder)])
+                        tail.write_chunk([*self._encode(tail, encoder, samples)])
                         tail.close()
                 except (OSError, LogError) as error:
                     reason = getattr(error.__cause__ or error, "strerror", None) or error
@@ -249,13 +231,14 @@ class McapRecorder:
             self._file = None
             raise
 
-    def _encode(self, file: McapWriter, encoder: _SampleEncoder) -> Iterator[MessageBatch]:
-        """Encode the samples and events since the last chunk, for a file."""
-        samples = self._buffer
-        if len(samples):
-            columns = samples.columns()
-            topics = _changed_topics(columns, estimates_differ=bool(samples.inexact.any()))
-            yield from encoder.encode(samples.ticks, columns, topics)
+    def _encode(
+        self, file: McapWriter, encoder: _SampleEncoder, samples: SampleRows
+    ) -> Iterator[MessageBatch]:
+        """Encode samples, and the events since the last chunk, for a file."""
+        if len(samples.ticks):
+            differ = bool(samples.inexact.any())
+            topics = _changed_topics(samples.columns, estimates_differ=differ)
+            yield from encoder.encode(samples.ticks, samples.columns, topics)
         if self._events:
             order, events = zip(*self._events, strict=True)
             start_ns = self._info.start_unix_ns
@@ -263,9 +246,8 @@ class McapRecorder:
             lines = [[encode_event(*each)] for each in zip(events, time_ns, strict=True)]
             yield message_batch([encoder.events], lines, np.array(time_ns), np.array(order))
 
-    def _additional(self, file: McapWriter) -> Iterator[MessageBatch]:
+    def _additional(self, file: McapWriter, ticks: IntArray) -> Iterator[MessageBatch]:
         """Take the additions up to the last tick, one batch per topic."""
-        ticks = self._buffer.ticks
         found: dict[str, list[Addition]] = {}
         if not ticks.size:
             return
@@ -393,11 +375,6 @@ def _static_transform(time_ns: IntArray) -> bytes:
     octets = np.array([list(template.data)], dtype=np.uint8)
     template.fill(octets, *_ENU_FROM_NED, time_ns)
     return octets.tobytes()
-
-
-def chunk_samples(aircraft: int) -> int:
-    """Samples in a full chunk."""
-    return min(max(_CHUNK_AIRCRAFT_SAMPLES // aircraft, 10), 200)
 
 
 class FixCovariance:

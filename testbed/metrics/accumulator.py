@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
 from enum import IntFlag
 from typing import Any, NamedTuple
 
@@ -12,40 +11,15 @@ from numpy.typing import NDArray
 
 from testbed.core.frames import wrap_pi
 from testbed.core.records import Array, BoolArray
-from testbed.core.samples import Columns
+from testbed.core.samples import SampleRows
 from testbed.formation.law import LimiterFlag, Saturation
 from testbed.metrics.ringing import RingingMonitor
 
 Ticks = NDArray[np.int64]
 NEVER = -1  # the tick of what has not happened
 
-_MEASURED = (
-    "truth.position_ned",
-    "truth.euler",
-    "formation.error_ned",
-    "formation.slot_ned",
-    "formation.limiter_flags",
-    "formation.saturations",
-    "air.wind_ned",
-    "air.wake_delta_cl",
-    "command.throttle",
-    "lost",
-    "formation.slot_index",
-)
-_ESTIMATED_ERROR = "formation.estimated_error_ned"
 
-
-class EstimateErrors(NamedTuple):
-    """Estimate minus truth in K samples of N aircraft."""
-
-    position_ned: Array  # (K, N, 3) m
-    velocity_ned: Array  # (K, N, 3) m/s
-    euler: Array  # (K, N, 3) rad
-    airspeed: Array  # (K, N) m/s
-
-
-@dataclass(frozen=True, slots=True)
-class SampleBlock:
+class SampleBlock(NamedTuple):
     """K consecutive samples of N aircraft, n = N − 1 of them followers."""
 
     tick: Ticks  # (K,) of the base rate
@@ -61,8 +35,12 @@ class SampleBlock:
     throttle: Array  # (K, N) commanded, 0..1
     lost: BoolArray  # (K, N)
     estimated_error_ned: Array  # (K, n, 3) m, the error computed from the estimates
-    estimate_errors: EstimateErrors | None  # None: all estimates equal the truth
     exact: BoolArray  # (K,) whether all estimates equal the truth
+    # estimate minus truth
+    position_difference: Array  # (K, N, 3) m
+    velocity_difference: Array  # (K, N, 3) m/s
+    euler_difference: Array  # (K, N, 3) rad
+    airspeed_difference: Array  # (K, N) m/s
 
     @property
     def without_slot(self) -> BoolArray:
@@ -83,8 +61,7 @@ class SampleBlock:
         """
         lost, no_slot = self.lost, self.without_slot
         after = (lost_tick != NEVER) & (self.tick[:, None] > lost_tick)
-        return replace(
-            self,
+        return self._replace(
             position_ned=np.where(after[..., None], np.nan, self.position_ned),
             bank=np.where(lost, 0.0, self.bank),
             error_ned=np.where(no_slot[..., None], 0.0, self.error_ned),
@@ -98,47 +75,53 @@ class SampleBlock:
         )
 
 
-def make_block(tick: Ticks, columns: Columns, inexact: BoolArray) -> SampleBlock:
-    """Make a block of the arrays of some samples.
+def make_block(samples: SampleRows) -> SampleBlock:
+    """Make a block of some samples, whose arrays are copied."""
+    columns, exact = samples.columns, ~samples.inexact
 
-    Args:
-        tick: (K,) of the base rate.
-        columns: the arrays (K, ...), by their paths in `Sample`.
-        inexact: (K,) rows whose estimates differ from the truth.
-    """
-    measured = {source: np.ascontiguousarray(columns[source]) for source in _MEASURED}
-    error_ned = measured["formation.error_ned"]
-    estimated_error_ned, estimate_errors = error_ned, None
-    exact = ~inexact
-    if inexact.any():
-        estimated_error_ned = columns[_ESTIMATED_ERROR].copy()
-        estimated_error_ned[exact] = error_ned[exact]
+    def difference(field: str) -> Array:
+        found = np.zeros(columns[f"truth.{field}"].shape)
+        rows = samples.inexact
         with np.errstate(invalid="ignore"):  # an aircraft beyond its model's range may be inf
-            estimate_errors = EstimateErrors(
-                *(columns[f"estimate.{f}"] - columns[f"truth.{f}"] for f in EstimateErrors._fields)
-            )
-        for errors in estimate_errors:
-            errors[exact] = 0.0
+            found[rows] = columns[f"estimate.{field}"][rows] - columns[f"truth.{field}"][rows]
+        return found
+
+    error_ned = np.array(columns["formation.error_ned"])
     return SampleBlock(
-        tick=np.array(tick, dtype=np.int64),
-        position_ned=measured["truth.position_ned"],
-        bank=measured["truth.euler"][..., 0],
+        tick=np.array(samples.ticks),
+        position_ned=np.array(columns["truth.position_ned"]),
+        bank=np.array(columns["truth.euler"][..., 0]),
         error_ned=error_ned,
-        slot_ned=measured["formation.slot_ned"],
-        slot_index=measured["formation.slot_index"],
-        limiter_flags=measured["formation.limiter_flags"].astype(np.int64),
-        saturations=measured["formation.saturations"].astype(np.int64),
-        wind_ned=measured["air.wind_ned"],
-        wake_delta_cl=measured["air.wake_delta_cl"],
-        throttle=measured["command.throttle"],
-        lost=measured["lost"],
-        estimated_error_ned=estimated_error_ned,
-        estimate_errors=estimate_errors,
+        slot_ned=np.array(columns["formation.slot_ned"]),
+        slot_index=np.array(columns["formation.slot_index"]),
+        limiter_flags=columns["formation.limiter_flags"].astype(np.int64),
+        saturations=columns["formation.saturations"].astype(np.int64),
+        wind_ned=np.array(columns["air.wind_ned"]),
+        wake_delta_cl=np.array(columns["air.wake_delta_cl"]),
+        throttle=np.array(columns["command.throttle"]),
+        lost=np.array(columns["lost"]),
+        estimated_error_ned=np.where(
+            exact[:, None, None], error_ned, columns["formation.estimated_error_ned"]
+        ),
         exact=exact,
+        position_difference=difference("position_ned"),
+        velocity_difference=difference("velocity_ned"),
+        euler_difference=difference("euler"),
+        airspeed_difference=difference("airspeed"),
     )
 
 
-BLOCK = 1024  # samples of up to four aircraft
+def _join(blocks: Sequence[SampleBlock]) -> SampleBlock:
+    """Join blocks of consecutive samples."""
+    return SampleBlock(*(np.concatenate(arrays) for arrays in zip(*blocks, strict=True)))
+
+
+def _cut(block: Iterable[Any], samples: slice) -> SampleBlock:
+    """Return some samples of a block."""
+    return SampleBlock(*(array[samples] for array in block))
+
+
+SPAN = 1024  # samples of up to four aircraft
 JOIN_RADIUS_M = 5.0  # a follower this close to its slot is in it,
 JOIN_HOLD_S = 5.0  # and has joined after so long
 ESTIMATE_KEYS = (
@@ -151,16 +134,17 @@ ESTIMATE_KEYS = (
 )
 
 
-def block_samples(aircraft: int) -> int:
-    """Return the samples of a block; fewer of many aircraft, to fit the caches."""
-    return min(BLOCK, max(4 * BLOCK // aircraft, 32))
+def _span_samples(aircraft: int) -> int:
+    """Return the samples that are summed together; fewer of many aircraft, to fit the caches."""
+    return min(SPAN, max(4 * SPAN // aircraft, 32))
 
 
 class Accumulator:
     """Sums, extremes and counts over samples of N aircraft, n of them followers.
 
-    Blocks of `block_samples` are added in the order of time, so that sums run in one order and a
-    run gives the same bits however it is observed. A lost aircraft counts until it was lost.
+    Samples are added in the order of time, in blocks of any length. They are summed in spans of one
+    length, so that a run gives the same bits however it is observed. A lost aircraft counts until
+    it was lost.
 
     The velocity of a slot, q̇_g + χ̇_i, is the central difference of its position over the samples
     before and after, which is its mean over two samples: while the leader turns by x from sample
@@ -185,6 +169,8 @@ class Accumulator:
         self._spans = list(windows.values())
         self._base_rate_hz, self._medium_ned = base_rate_hz, medium_ned
         p, n = len(windows), followers
+        self._span = _span_samples(n + 1)
+        self._waiting: list[SampleBlock] = []  # samples of the next span
         self.last_tick = NEVER
         self.lost_tick = _never(n + 1)
         self.samples = _counts(n + 1)  # in which an aircraft was not lost
@@ -241,10 +227,21 @@ class Accumulator:
         self.max_horizontal = np.zeros(n + 1)  # m
         self.relative_square = np.zeros(n)  # of the position relative to the leader, m²
 
-    def accumulate(self, block: SampleBlock) -> None:
+    def add(self, block: SampleBlock) -> None:
         """Add a block of samples."""
-        if not block.tick.size:
-            return
+        self._waiting.append(block)
+        if sum(len(each.tick) for each in self._waiting) >= self._span:
+            joined = _join(self._waiting)
+            self._accumulate(_cut(joined, slice(self._span)))
+            self._waiting = []
+            self.add(_cut(joined, slice(self._span, None)))
+
+    def finish(self) -> None:
+        """Sum also the samples of an incomplete span, after which no more are added."""
+        if any(len(each.tick) for each in self._waiting):
+            self._accumulate(_join(self._waiting))
+
+    def _accumulate(self, block: SampleBlock) -> None:
         lost, no_slot = block.lost, block.without_slot
         self.lost_tick = block.first_lost(self.lost_tick)
         if lost.any():
@@ -258,8 +255,8 @@ class Accumulator:
         self._add_slot_motion(block)
         self._add_wind(block)
         self.throttle_sum += block.throttle.sum(axis=0)
-        if block.estimate_errors is not None:
-            self._add_estimates(block.estimate_errors, lost)
+        if not block.exact.all():
+            self._add_estimates(block, lost)
 
     def _add_errors(self, block: SampleBlock, no_slot: BoolArray) -> None:
         error = _length(block.error_ned)
@@ -273,7 +270,7 @@ class Accumulator:
         self.window_samples += np.array([last - first for first, last in cuts], dtype=np.int64)
         self.window_slot_samples += _sums(~no_slot, parts).astype(np.int64)
         square = square_estimated = _sums(error**2, parts)
-        if block.estimate_errors is not None:
+        if not block.exact.all():
             # by the same steps as the error, so that exact estimates give the same bits
             square_estimated = _sums(_length(block.estimated_error_ned) ** 2, parts)
         self.square_error += square
@@ -370,19 +367,19 @@ class Accumulator:
         largest = np.abs(block.wake_delta_cl).max(axis=0)
         self.max_wake_delta_cl = np.maximum(self.max_wake_delta_cl, largest)
 
-    def _add_estimates(self, errors: EstimateErrors, lost: BoolArray) -> None:
+    def _add_estimates(self, block: SampleBlock, lost: BoolArray) -> None:
         """Add errors of the estimates.
 
         A formation is not affected by an error that a follower has in common with its leader, so
         that of the position relative to the leader is summed, too.
         """
-        position = errors.position_ned
-        roll, pitch, yaw = np.moveaxis(wrap_pi(errors.euler), -1, 0)
+        position = block.position_difference
+        roll, pitch, yaw = np.moveaxis(wrap_pi(block.euler_difference), -1, 0)
         north, east, down = np.moveaxis(position, -1, 0)
         horizontal = north**2 + east**2
-        speed = np.sum(errors.velocity_ned**2, axis=-1)
+        speed, airspeed = np.sum(block.velocity_difference**2, axis=-1), block.airspeed_difference
         square = np.stack(
-            (horizontal, down**2, speed, roll**2 + pitch**2, yaw**2, errors.airspeed**2), axis=-1
+            (horizontal, down**2, speed, roll**2 + pitch**2, yaw**2, airspeed**2), axis=-1
         )
         relative = np.sum((position[:, 1:] - position[:, :1]) ** 2, axis=-1)
         if lost.any():

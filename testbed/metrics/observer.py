@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from testbed.core.records import Event, RunInfo, Sample
-from testbed.core.samples import SampleBuffer
-from testbed.metrics.accumulator import Accumulator, block_samples, make_block
+from testbed.core.records import Event, RunInfo
+from testbed.core.samples import BlockObserver
+from testbed.metrics.accumulator import Accumulator, make_block
 from testbed.metrics.model import Metrics
 from testbed.metrics.summary import summarise
 
 
-class MetricsObserver:
+class MetricsObserver(BlockObserver):
     """Measure a run while it flies; `summary` can be called at any moment.
 
     Args:
@@ -25,9 +25,6 @@ class MetricsObserver:
         published: numbers published for this scenario, copied to the summary: `source`, `rms_m`,
             `mean_rms_m` and `percent_error` by window.
     """
-
-    zero_copy = True  # holds no array of a sample
-    takes_blocks = "metrics"
 
     def __init__(
         self,
@@ -39,26 +36,17 @@ class MetricsObserver:
         self._published = published
         self._info: RunInfo | None = None
         self._events: list[Event] = []
-        self._buffer: SampleBuffer | None = None
-
-    def share(self, aircraft: int) -> SampleBuffer:
-        """See `BlockObserver`."""
-        self._buffer = SampleBuffer(block_samples(aircraft), aircraft)
-        return self._buffer
 
     def add_events(self, events: Sequence[Event]) -> None:
         """See `BlockObserver`."""
         self._events.extend(events)
 
     def take_block(self) -> None:
-        """Accumulate the samples of the buffer, and empty it."""
-        assert self._buffer is not None, "there is a buffer from `share` or `begin` on"
-        buffer = self._buffer
-        self._accumulator.accumulate(make_block(buffer.ticks, buffer.columns(), buffer.inexact))
-        buffer.clear()
+        """Accumulate the new samples of the buffer."""
+        self._accumulator.add(make_block(self._take()))
 
     def begin(self, info: RunInfo) -> None:
-        """Allocate the accumulator and the rows of one block."""
+        """Allocate the accumulator."""
         self._info = info
         self._windows = dict(info.windows if self._own_windows is None else self._own_windows)
         self._accumulator = Accumulator(
@@ -68,28 +56,18 @@ class MetricsObserver:
             medium_ned=np.array(info.bounded_in_ned),
         )
         self._events = []
-        if self._buffer is None:
-            self.share(len(info.names))
+        self._begin_blocks(len(info.names))
 
     def reseed(self, seed: int) -> None:
         """Set the seed that the summary shows, after `begin`."""
         assert self._info is not None, "the run has begun"
         self._info = replace(self._info, seed=seed)
 
-    def observe(self, sample: Sample) -> None:
-        """Copy what is measured; accumulate the block when it is full."""
-        buffer = self._buffer
-        assert buffer is not None, "the run has begun"
-        buffer.append(sample)
-        self._events.extend(sample.events)
-        if len(buffer) == buffer.capacity:
-            self.take_block()
-
     def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:
         """Do nothing: `summary` includes the samples of an incomplete block."""
 
     def summary(self, after: Sequence[Event] = ()) -> Metrics:
-        """Summarise the samples observed so far, ready for JSON; the state does not change.
+        """Summarise the samples observed so far, ready for JSON; more may follow.
 
         Args:
             after: events since the last sample.
@@ -97,12 +75,11 @@ class MetricsObserver:
         Raises:
             RuntimeError: no run has begun.
         """
-        if self._info is None or self._buffer is None:
+        if self._info is None:
             raise RuntimeError("there is nothing to summarise: begin() was not called")
-        total, buffer = self._accumulator, self._buffer
-        if len(buffer):
-            total = copy.deepcopy(total)
-            total.accumulate(make_block(buffer.ticks, buffer.columns(), buffer.inexact))
+        self.take_block()
+        total = copy.deepcopy(self._accumulator)
+        total.finish()
         return summarise(
             total,
             windows=self._windows,

@@ -71,12 +71,10 @@ def build_single_start(
     Raises:
         InputError: it starts too close to the ground.
     """
-    course, height = math.radians(flight.start.course_deg), flight.start.altitude_m
-    velocity = flight.speed_mps * math.cos(course), flight.speed_mps * math.sin(course), 0.0
     start = InitialState(
-        position_ned=(0.0, 0.0, -height),
-        course=math.atan2(velocity[1], velocity[0]),
-        airspeed=math.dist(velocity, initial_wind(mean_wind, height)),
+        position_ned=(0.0, 0.0, -flight.start.altitude_m),
+        course=math.radians(flight.start.course_deg),
+        airspeed=flight.airspeed_mps,
     )
     return place_in_wind(fleet, (start,), mean_wind)
 

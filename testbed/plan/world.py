@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from testbed import __version__
 from testbed.atmosphere.air import Atmosphere
 from testbed.atmosphere.mean_wind import MeanWind
 from testbed.core.compile import registered, registering
@@ -26,6 +25,7 @@ from testbed.core.records import (
     write_fields,
 )
 from testbed.core.start_time import start_unix_ns
+from testbed.core.version import __version__
 from testbed.flight.arduplane_vehicles import ArduPlaneVehicles
 from testbed.flight.control import Control
 from testbed.flight.faults import FaultManager, no_faults

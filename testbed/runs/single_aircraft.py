@@ -16,7 +16,7 @@ from testbed.core.records import (
 )
 from testbed.runs.simulation import Simulation
 from testbed.scenario import SingleAircraft, resolve_single_aircraft
-from testbed.scenario.aircraft import AircraftSection, External, Start, Virtual
+from testbed.scenario.aircraft import AircraftSection, External, Mission, Start
 from testbed.scenario.arguments import check_argument
 from testbed.scenario.fields import Section
 from testbed.scenario.sections import Header, Rates, Sections
@@ -26,7 +26,7 @@ _ValuesT = TypeVar("_ValuesT", VehicleState, AirData, ActuatorCommand)
 # Arguments: the section and the key of the files that have their types and bounds.
 _ARGUMENTS: Mapping[str, tuple[type[Section], str]] = {
     "aircraft": (AircraftSection, "aircraft"),
-    "airspeed_mps": (Virtual, "speed_mps"),
+    "airspeed_mps": (Mission, "airspeed_mps"),
     "altitude_m": (Start, "altitude_m"),
     "course_deg": (Start, "course_deg"),
     "air": (Sections, "air"),
@@ -47,9 +47,9 @@ class Aircraft:
 
     Args:
         aircraft: airframe: a name in aircraft/, or the path of a folder.
-        airspeed_mps: at the start, m/s.
+        airspeed_mps: true airspeed at the start, m/s; in wind the speed over the ground is another.
         altitude_m: at the start, above the ground, m.
-        course_deg: at the start, degrees clockwise from north.
+        course_deg: over the ground at the start, degrees clockwise from north.
         air: wind, turbulence and gusts, as the section `air` of a scenario; None: still air.
         sensors: as the key `sensors` of a scenario, such as "pixhawk"; `estimate` has their errors.
         tune: autopilot parameters: <tune>.param of the airframe, or the path of a file.
@@ -64,7 +64,7 @@ class Aircraft:
 
     Raises:
         InputError: an argument, which the text names, is wrong, or the aircraft has no level
-            flight at this airspeed.
+            flight at this airspeed, or not on this course in the wind.
     """
 
     def __init__(
@@ -185,7 +185,7 @@ def _flight(arguments: Mapping[str, Any]) -> SingleAircraft:
             name=_NAME, commanded_by=External(), **{key: arguments[key] for key in own}
         ),
         start=Start(altitude_m=arguments["altitude_m"], course_deg=arguments["course_deg"]),
-        speed_mps=arguments["airspeed_mps"],
+        airspeed_mps=arguments["airspeed_mps"],
         air=arguments["air"],
     )
 
@@ -200,7 +200,7 @@ def _argument_errors(airspeed: str, altitude_m: float) -> Iterator[None]:
     try:
         yield
     except TrimError as error:
-        reason = str(error).rpartition("no steady flight; ")[2]
+        reason = str(error).removeprefix("fleet: ").rpartition("no steady flight; ")[2]
         raise InputError(
             f"airspeed_mps: {airspeed} m/s, {altitude_m:g} m above the ground: no level flight: "
             f"{reason}"

@@ -16,7 +16,7 @@ class SingleAircraft(Section):
     rates: Rates = Field(description="Rates of the loops, Hz.")
     only: AircraftSection = Field(description="The aircraft.")
     start: Start = Field(description="Position and course at time 0, m and degrees.")
-    speed_mps: Speed = Field(description="Speed over the ground at time 0, m/s.")
+    airspeed_mps: Speed = Field(description="True airspeed at time 0, m/s.")
     air: Air = Field(description="Wind, turbulence and gusts.")
 
     @property

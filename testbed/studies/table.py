@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed import __version__
 from testbed.core.errors import InputError
 from testbed.core.files import (
     check_folder_writable,
@@ -23,6 +22,7 @@ from testbed.core.files import (
 )
 from testbed.core.input_files import parse_json_map
 from testbed.core.numbers import parse_whole
+from testbed.core.version import __version__
 from testbed.logs.arrow_io import column_names, read_columns, write_columns
 from testbed.logs.run_directory import LOGS, create_run_directory
 from testbed.scenario.yaml_io import to_inline

@@ -15,9 +15,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from testbed import __version__
 from testbed.core.errors import InputError
 from testbed.core.files import report_write_errors, write_text_file
+from testbed.core.version import __version__
 from testbed.logs.run_directory import write_run_file
 from testbed.metrics.document import write_json
 from testbed.scenario import (

@@ -18,7 +18,6 @@ from testbed.vehicle.compiled.columns import AIR_INPUTS
 from testbed.vehicle.compiled.proof import prove_aircraft
 from testbed.vehicle.compiled.rows import write_air as write_air_numbers
 from testbed.vehicle.compiled.rows import write_motion
-from testbed.vehicle.environment import INTEGRATORS, Integrators
 from testbed.vehicle.fleet import FlightModels, Move, place_model
 from testbed.vehicle.jsbsim_adapter import VERSION, cache_by_folder, load
 from testbed.vehicle.jsbsim_io import BATTERY_PROPERTIES, CONTROLS, lead_controls, write_truth
@@ -42,14 +41,14 @@ class Engine(NamedTuple):
 
 
 @cache_by_folder(maxsize=64)
-def find_engine(folder: Path, rate_hz: int, integrators: Integrators) -> Engine:
+def find_engine(folder: Path, rate_hz: int) -> Engine:
     """Translate the aircraft in a folder, and prove that it equals the installed JSBSim.
 
     Raises:
         AircraftError: JSBSim cannot load the aircraft.
     """
     try:
-        compiled = CompiledAircraft(folder, load(folder, rate_hz, integrators), integrators)
+        compiled = CompiledAircraft(folder, load(folder, rate_hz))
     except NotTranslated as error:
         return Engine(None, str(error))
     prepare([(compiled.run_rows, _example(compiled))])
@@ -70,7 +69,7 @@ def _example(aircraft: CompiledAircraft) -> tuple[object, ...]:
 
 
 def find_engines(
-    folders: Sequence[Path], rate_hz: int, engine: str, integrators: Integrators = INTEGRATORS
+    folders: Sequence[Path], rate_hz: int, engine: str
 ) -> tuple[tuple[CompiledAircraft, ...], str]:
     """Return the compiled model of each aircraft, or none where JSBSim flies all, and why.
 
@@ -78,7 +77,6 @@ def find_engines(
         folders: N of aircraft.
         rate_hz: steps per second.
         engine: "auto", "jsbsim" or "compiled".
-        integrators: of the flight models.
 
     Raises:
         InputError: the engine is "compiled", and an aircraft cannot be.
@@ -86,7 +84,7 @@ def find_engines(
     """
     if engine == "jsbsim" or (engine == "auto" and is_interpreted()):
         return (), ""
-    engines = [find_engine(each, rate_hz, integrators) for each in folders]
+    engines = [find_engine(each, rate_hz) for each in folders]
     for each in engines:
         if each.compiled is None:
             if engine == "compiled":
@@ -111,12 +109,10 @@ class PlacedRow(NamedTuple):
 
 
 @cache_by_folder(maxsize=256)
-def _place_row(
-    folder: Path, start: InitialState, origin: NedOrigin, rate_hz: int, integrators: Integrators
-) -> PlacedRow:
-    aircraft = find_engine(folder, rate_hz, integrators).compiled
+def _place_row(folder: Path, start: InitialState, origin: NedOrigin, rate_hz: int) -> PlacedRow:
+    aircraft = find_engine(folder, rate_hz).compiled
     assert aircraft is not None, "`find_engines` has returned it"
-    placed = place_model(folder, start, origin, rate_hz, integrators, aircraft.watch)
+    placed = place_model(folder, start, origin, rate_hz, watch=aircraft.watch)
     return PlacedRow(aircraft.row_of(placed.model), placed.trim, placed.leads)
 
 
@@ -159,7 +155,7 @@ class CompiledFleet(FlightModels):
         """
         folders, n = [each.folder for each in aircraft], len(aircraft)
         placed = [
-            _place_row(each.folder, start, origin, base_rate_hz, each.integrators)
+            _place_row(each.folder, start, origin, base_rate_hz)
             for each, start in zip(aircraft, starts, strict=True)
         ]
         self._dt, self._kinds = 1.0 / base_rate_hz, list[_Kind]()

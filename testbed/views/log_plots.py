@@ -35,7 +35,7 @@ def tabs(names: Sequence[str]) -> Tabs:
     found: dict[str, dict[str, list[Curve]]] = {}
     for quantity in PLOTTED.values():
         for field in quantity.fields if quantity.tab else ():
-            curves = _curves(names, QUANTITIES[field], QUANTITIES.get(quantity.desired))
+            curves = _curves(names, QUANTITIES[field], quantity)
             if curves:
                 found.setdefault(quantity.tab, {})[_title(quantity, field)] = curves
     return found
@@ -54,12 +54,17 @@ def _title(quantity: PlottedQuantity, name: str) -> str:
     named = replace(quantity, unit=field.unit)
     if len(quantity.fields) > 1:
         named = replace(named, words=field.field.rpartition("_")[0].replace("_", " "))
+    return named.label(_desired_word(quantity))
+
+
+def _desired_word(quantity: PlottedQuantity) -> str:
+    """Return what the second value of a quantity is: desired or commanded."""
     commanded = quantity.desired.startswith(COMMAND.name)
-    return named.label("commanded" if commanded else "desired" if quantity.desired else "")
+    return "commanded" if commanded else "desired" if quantity.desired else ""
 
 
-def _curves(names: Sequence[str], actual: Quantity, desired: Quantity | None) -> list[Curve]:
-    curves = []
+def _curves(names: Sequence[str], actual: Quantity, quantity: PlottedQuantity) -> list[Curve]:
+    curves, desired = [], QUANTITIES.get(quantity.desired)
     for number, name in enumerate(names):
         for each in filter(None, (actual, desired)):
             if number or not each.followers_only:
@@ -68,7 +73,7 @@ def _curves(names: Sequence[str], actual: Quantity, desired: Quantity | None) ->
                         topic=f"/{name}/{each.topic.name}",
                         field=each.field,
                         about=identifiers(names)[0] if each.per_aircraft else None,
-                        label=f"{name}, desired" if each is desired else name,
+                        label=f"{name}, {_desired_word(quantity)}" if each is desired else name,
                         colour=aircraft_hex(number),
                         dashed=each is desired,
                     )

@@ -132,7 +132,9 @@ PLOTTED: Mapping[str, PlottedQuantity] = {
         "pitch", DEGREES, ("state_pitch_rad",), "command_pitch_rad", tab="attitude"
     ),
     "throttle": PlottedQuantity("commanded throttle", fields=("command_throttle",)),
-    "servo_throttle": PlottedQuantity("throttle", fields=("state_throttle",), tab="attitude"),
+    "servo_throttle": PlottedQuantity(
+        "throttle", "", ("state_throttle",), "command_throttle", tab="attitude"
+    ),
     "altitude": PlottedQuantity(
         "altitude", "m", computed=(lambda position: -position[..., 2], ("truth.position_ned",))
     ),

@@ -17,7 +17,7 @@ import testbed
 from testbed.logs.messages import QUANTITIES
 from testbed.views.foxglove_layout import foxglove_layout
 from testbed.views.foxglove_scene import FRAMES, TOPICS
-from testbed.views.log_plots import numeric_topics
+from testbed.views.log_plots import numeric_topics, tabs
 from testbed.views.plotjuggler_layout import plotjuggler_layout
 from testbed.views.quantities import DEGREES, PLOTTED
 
@@ -190,6 +190,13 @@ def test_plotted_quantities_name_fields_of_log():
         assert quantity.fields or not quantity.tab, name
         units = {QUANTITIES[field].unit for field in (*quantity.fields, quantity.desired) if field}
         assert units <= {"rad" if quantity.unit == DEGREES else quantity.unit}, name
+
+
+def test_legend_names_commands_as_the_title():
+    for tab in tabs(("leader", "uav1")).values():
+        for title, curves in tab.items():
+            words = {each.label.partition(", ")[2] for each in curves if each.dashed}
+            assert words == {word for word in ("commanded", "desired") if f"and {word}" in title}
 
 
 def test_plotjuggler_layout_names_log_relative(tmp_path, path):

@@ -21,10 +21,12 @@ from record_flight import RECORDS, assert_same_sample, decoded, event, record, r
 from waiting import TIMEOUT_S, until
 
 import testbed
+from testbed.core import samples as core_samples
 from testbed.core.errors import InputError
 from testbed.core.frames import rotation_ned_body
 from testbed.core.geodetic import geodetic_from_ned
 from testbed.core.records import Event, logged_fields
+from testbed.core.samples import block_samples
 from testbed.core.start_time import start_unix_ns
 from testbed.logs import header, recorder
 from testbed.logs.mcap_file import LogError, tail_path
@@ -35,7 +37,7 @@ from testbed.logs.recorder import McapRecorder
 from testbed.metrics import MetricsObserver
 from testbed.scenario import load_scenario
 
-CHUNK = recorder.chunk_samples(4)
+CHUNK = block_samples(4)
 
 
 @pytest.fixture
@@ -383,7 +385,7 @@ def test_message_index_finds_every_message(tmp_path):
 @pytest.mark.parametrize("late_s", [-1.0, 0.003])
 def test_slow_clock_gives_the_same_bytes(tmp_path, monkeypatch, late_s):
     """Also where a topic begins within a chunk; the tail has what the log lacks, to the bit."""
-    monkeypatch.setattr(recorder, "_CHUNK_AIRCRAFT_SAMPLES", 4 * 20)
+    monkeypatch.setattr(core_samples, "_BLOCK_AIRCRAFT_SAMPLES", 4 * 20)
     changes = {"noisy_from": 27, "lossy_from": 45, "events": [event(1), event(50)]}
     fast = record(tmp_path / "fast.mcap", run_samples(70, **changes))
     monkeypatch.setattr(recorder, "FLUSH_S", late_s)  # every sample is late, or most are
@@ -427,7 +429,7 @@ def test_tail_of_another_log_is_not_read(tmp_path, monkeypatch, change, count):
     The other log has the same size and the same samples, but another scenario.
     """
     monkeypatch.setattr(recorder, "FLUSH_S", -1.0)
-    monkeypatch.setattr(recorder, "_CHUNK_AIRCRAFT_SAMPLES", 4 * 20)
+    monkeypatch.setattr(core_samples, "_BLOCK_AIRCRAFT_SAMPLES", 4 * 20)
 
     def record_some(name, scenario):
         log = McapRecorder(tmp_path / name)

@@ -286,7 +286,10 @@ def test_aircraft_flies_as_replayed_commands(tmp_path, monkeypatch):
 def test_aircraft_has_wind_and_sensors():
     wind = {"wind": {"speed_mps": 5, "from_deg": 270}}
     aircraft = testbed.Aircraft("rascal110", airspeed_mps=20, air=wind, sensors="pixhawk", seed=3)
-    start = aircraft.truth.position_ned
+    motion = aircraft.truth
+    start = motion.position_ned
+    assert motion.airspeed == pytest.approx(20.0, abs=1e-9)
+    np.testing.assert_allclose(motion.velocity_ned, [math.sqrt(20.0**2 - 5.0**2), 0, 0], atol=1e-9)
     aircraft.step(0.02, 0.0, 0.3, until=1.0)
     assert aircraft.air.wind_ned[1] == pytest.approx(5.0, abs=1e-6)
     assert not np.array_equal(aircraft.estimate.position_ned, aircraft.truth.position_ned)
@@ -301,6 +304,10 @@ def test_aircraft_has_wind_and_sensors():
         ({"airspeed_mps": 5}, "airspeed_mps: 5 m/s, 100 m above the ground: no level flight: "),
         ({"airspeed_mps": -1}, "airspeed_mps: is -1 (write a number at least 0.1)"),
         ({"airspeed_mps": math.nan}, "airspeed_mps: is nan (write a finite number)"),
+        (
+            {"air": {"wind": {"speed_mps": 19, "from_deg": 0}}},
+            "airspeed_mps: 18 m/s, 100 m above the ground: no level flight: wind of 19 m/s: at",
+        ),
         ({"altitude_m": -3}, "altitude_m: aircraft starts 3 m below the ground"),
         ({"sensors": "pix"}, "sensors: 'pix' is not a preset of sensors"),
         ({"tune": "nope"}, "tune: there is no tune of skywalker_x8 'nope'"),

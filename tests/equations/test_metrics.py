@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from reference.frames import velocity_frame
 
+from testbed.core import samples as core_samples
 from testbed.core.records import (
     ActuatorCommand,
     AirData,
@@ -20,7 +21,7 @@ from testbed.core.records import (
 )
 from testbed.formation.law import LimiterFlag, Saturation
 from testbed.metrics import MetricsObserver
-from testbed.metrics.accumulator import BLOCK
+from testbed.metrics.accumulator import SPAN
 from testbed.metrics.facts import describe_wind
 
 BASE_RATE_HZ, FRAME_RATE_HZ = 200, 25
@@ -222,7 +223,7 @@ def test_lost_leader_ends_errors_of_followers():
     assert summary["recovery"]["uav1"]["in_slot_since_s"] is None
 
 
-@pytest.mark.parametrize("at", [300, BLOCK - 1, BLOCK])
+@pytest.mark.parametrize("at", [300, SPAN - 1, SPAN])
 def test_separation_includes_the_sample_of_a_loss(at):
     """A collision counts, wreckage on the ground does not."""
     # uav2, 28 m from uav1, comes to 3 m and is lost by that; then others fly over it at 1 m
@@ -294,10 +295,10 @@ def test_joined_from_the_first_5_s_in_the_slot():
     assert joined([inside] * (five + 1) + [out]) == (0.0, None)
 
 
-@pytest.mark.parametrize("start", [BLOCK - 126, BLOCK - 125, BLOCK - 1, BLOCK, BLOCK + 1])
+@pytest.mark.parametrize("start", [SPAN - 126, SPAN - 125, SPAN - 1, SPAN, SPAN + 1])
 def test_joining_across_blocks_equals_a_plain_count(start):
     # the same rule sample by sample, without blocks
-    distances = [9.0] * start + [1.0] * 200 + [9.0] * 3 + [1.0] * BLOCK
+    distances = [9.0] * start + [1.0] * 200 + [9.0] * 3 + [1.0] * SPAN
     assert joined(distances) == (start / FRAME_RATE_HZ, (start + 203) / FRAME_RATE_HZ)
 
 
@@ -345,7 +346,7 @@ def test_limiter_flags_and_saturations_by_kind():
     assert measure(samples[2:], run_info())["recovery"]["uav1"]["last_saturated_s"] is None
 
 
-def ringing_run(start, count=BLOCK + 200):
+def ringing_run(start, count=SPAN + 200):
     """A follower whose bank oscillates about 0.5 rad from a sample on, with ζ = 0.05 at 1 Hz."""
     for k in range(count):
         sample, since = make_sample(k, np.zeros((1, 3))), max(k - start, 0) / FRAME_RATE_HZ
@@ -356,7 +357,7 @@ def ringing_run(start, count=BLOCK + 200):
         yield sample._replace(truth=truth, estimate=truth)
 
 
-@pytest.mark.parametrize("start", [BLOCK - 20, BLOCK - 19, BLOCK - 7, BLOCK - 6])
+@pytest.mark.parametrize("start", [SPAN - 20, SPAN - 19, SPAN - 7, SPAN - 6])
 def test_ringing_across_blocks(start):
     early, late = (measure(ringing_run(k), run_info(1))["ringing"]["uav1"] for k in (100, start))
     assert early["seconds"] > 3.0 and early["damping_ratio"] == pytest.approx(0.05, abs=2e-3)
@@ -419,7 +420,7 @@ def test_kappa_beyond_the_bounds_is_negative():
     assert summary["kappa_mps"]["uav1"] == pytest.approx(SPEED * 80.0 / RADIUS - 16.0, abs=2e-4)
 
 
-@pytest.mark.parametrize("count", [2, 3, BLOCK, BLOCK + 1, BLOCK + 2, 2 * BLOCK + 5])
+@pytest.mark.parametrize("count", [2, 3, SPAN, SPAN + 1, SPAN + 2, 2 * SPAN + 5])
 def test_slot_speeds_across_blocks(count):
     rng = np.random.default_rng(8)
     # 44 m from sample to sample over the right distance: 2 m of jitter are 25 m/s
@@ -462,7 +463,7 @@ def test_kappa_ignores_lost_slots():
     assert measure(samples, run_info(1))["kappa_mps"]["uav1"] == expected
 
 
-@pytest.mark.parametrize("start", [0, BLOCK - 3, BLOCK - 2, BLOCK - 1, BLOCK])
+@pytest.mark.parametrize("start", [0, SPAN - 3, SPAN - 2, SPAN - 1, SPAN])
 def test_leaving_the_speed_set_counts(start):
     """A start outside it does not count."""
     outside, other = int(LimiterFlag.OUTSIDE_SPEED_SET), int(LimiterFlag.SPEED_COMMAND_CLIPPED)
@@ -494,7 +495,7 @@ def random_run(count, followers):
         )
 
 
-@pytest.mark.parametrize("count", [1, BLOCK - 1, BLOCK, BLOCK + 1, 3 * BLOCK + 17])
+@pytest.mark.parametrize("count", [1, SPAN - 1, SPAN, SPAN + 1, 3 * SPAN + 17])
 def test_sums_over_blocks_equal_those_of_the_run(count):
     samples = list(random_run(count, 4))
     summary = measure(samples, run_info(4, {"all": (0.0, 1000.0)}))
@@ -520,8 +521,16 @@ def test_sums_over_blocks_equal_those_of_the_run(count):
     assert summary["min_separation_m"] == pytest.approx(distances.min(), abs=1e-12)
 
 
+@pytest.mark.parametrize("count", [12, 130])
+def test_block_lengths_change_no_bit(count, monkeypatch):
+    samples, info = list(random_run(2 * SPAN + 50, 3)), run_info(3, {"all": (0.0, 1000.0)})
+    summary = measure(samples, info)
+    monkeypatch.setattr(core_samples, "_BLOCK_AIRCRAFT_SAMPLES", 4 * count)
+    assert measure(samples, info) == summary
+
+
 def test_summary_during_a_run_changes_nothing():
-    samples = list(random_run(700, 3))
+    samples = list(random_run(1300, 3))  # more than are summed together
     info = run_info(3, {"all": (0.0, 1000.0)})
     meter = MetricsObserver()
     meter.begin(info)

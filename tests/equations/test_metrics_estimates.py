@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from test_metrics import FRAME_RATE_HZ, make_sample, measure, random_run, run_info
 
-from testbed.metrics.accumulator import BLOCK
+from testbed.metrics.accumulator import SPAN
 from testbed.metrics.facts import describe_estimates, exact
 
 KINDS = ("horizontal_m", "height_m", "velocity_mps", "tilt_deg", "heading_deg", "airspeed_mps")
@@ -94,7 +94,7 @@ def test_estimated_rms_beside_the_true_one():
     assert summary["windows"]["never"]["estimated_mean_rms_m"] is None
 
 
-@pytest.mark.parametrize("count", [1, BLOCK + 3])
+@pytest.mark.parametrize("count", [1, SPAN + 3])
 def test_exact_estimates_have_no_error(count):
     summary = measure(list(random_run(count, 3)), run_info(3, {"all": (0.0, 100.0)}))
     window = summary["windows"]["all"]
@@ -108,7 +108,7 @@ def test_exact_estimates_have_no_error(count):
 
 
 def test_estimates_change_no_other_number():
-    samples = list(random_run(BLOCK + 60, 3))
+    samples = list(random_run(SPAN + 60, 3))
     info = run_info(3, {"all": (0.0, 100.0)})
     erring = [
         with_estimates(sample, position=1.0, euler=0.1, estimated=np.ones((3, 3)))
@@ -123,12 +123,12 @@ def test_estimates_change_no_other_number():
     assert plain == other
 
 
-@pytest.mark.parametrize("begin", [0, 100, BLOCK - 1, BLOCK, BLOCK + 1, 2 * BLOCK + 5])
+@pytest.mark.parametrize("begin", [0, 100, SPAN - 1, SPAN, SPAN + 1, 2 * SPAN + 5])
 def test_estimates_that_err_from_a_sample_on(begin):
     """A second computation over the whole run gives the same numbers."""
     rng = np.random.default_rng(begin)
     samples, errors, errors_ned = [], [], []
-    for k, sample in enumerate(random_run(2 * BLOCK + 40, 3)):
+    for k, sample in enumerate(random_run(2 * SPAN + 40, 3)):
         position, velocity, euler = rng.normal(0.0, 0.4, (3, 4, 3)) * (k >= begin)
         airspeed = rng.normal(0.0, 1.0, 4) * (k >= begin)
         estimated = rng.normal(0.0, 2.0, (3, 3)) if k >= begin else sample.formation.error_ned

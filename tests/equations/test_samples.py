@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from testbed.core import samples as core_samples
 from testbed.core.records import AIRCRAFT, FOLLOWER, LINK, FaultState, VehicleState, allocate
 from testbed.core.samples import SampleBuffer, copy_sample, make_sample
 from testbed.flight.observers import Observers
@@ -60,41 +61,38 @@ def without_records(sample):
 
 
 @pytest.mark.parametrize("change", [lambda sample: sample, without_records], ids=["run", "own"])
-def test_columns_of_a_block_are_the_samples_one_by_one(change):
-    run, block, kept = new_run(), SampleBuffer(20, N), []
+def test_columns_of_a_block_are_the_samples_one_by_one(change, monkeypatch):
+    monkeypatch.setattr(core_samples, "_BLOCK_AIRCRAFT_SAMPLES", 10 * N)
+    run, buffer = new_run(), SampleBuffer(N)
     sample = sample_of(run)
-    for _ in range(2):
-        for k in range(7):
-            fill(run, k)
-            block.append(change(sample._replace(tick=8 * k)))
+    for taken, count in ((0, 7), (7, 3), (10, 4), (14, 0)):
+        ticks, kept = [8 * k for k in range(taken, taken + count)], []
+        for tick in ticks:
+            fill(run, tick)
+            buffer.append(change(sample._replace(tick=tick)))
             kept.append(arrays(sample))
-        columns = block.columns()
-        assert block.ticks.tolist() == [8 * k for k in range(7)]
+        assert buffer.is_full == (buffer.total == 10)
+        new = buffer.since(taken)
+        assert new.ticks.tolist() == ticks
+        assert {len(rows) for rows in new.columns.values()} == {count}
         for k, expected in enumerate(kept):
-            for path, rows in columns.items():
-                assert len(rows) == 7
+            assert set(new.columns) == set(expected)
+            for path, rows in new.columns.items():
                 assert rows.dtype == expected[path].dtype, path
                 np.testing.assert_array_equal(rows[k], expected[path], err_msg=path)
-        assert set(columns) == set(kept[0])
-        block.clear()
-        kept.clear()
-    assert len(block) == 0
 
 
 def test_block_marks_inexact_estimates():
-    run, block = new_run(), SampleBuffer(4, N)
+    run, buffer = new_run(), SampleBuffer(N)
     for tick, exact in ((0, True), (8, False), (16, False), (24, True)):
-        block.append(sample_of(run, exact=exact)._replace(tick=tick))
-    assert block.ticks.tolist() == [0, 8, 16, 24]
-    assert block.inexact.tolist() == [False, True, True, False]
-    block.clear()
-    block.append(sample_of(run)._replace(tick=8))
-    assert (block.ticks.tolist(), block.inexact.tolist()) == ([8], [True])
+        buffer.append(sample_of(run, exact=exact)._replace(tick=tick))
+    assert buffer.since(0).inexact.tolist() == [False, True, True, False]
+    assert buffer.since(2).inexact.tolist() == [True, False]
 
 
 @pytest.mark.parametrize("change", [lambda sample: sample, without_records], ids=["run", "own"])
 def test_samples_of_other_sizes_are_refused(change):
-    block = SampleBuffer(3, N)
+    block = SampleBuffer(N)
     block.append(change(sample_of(new_run())))
     with pytest.raises(ValueError, match=f"the sample has {N + 1} aircraft"):
         block.append(change(sample_of(new_run(N + 1))))
@@ -136,7 +134,7 @@ class Watcher:
 def test_observers_get_arrays_or_copies():
     run = new_run()
     keeper, other, borrower = Watcher(), Watcher(zero_copy=False), Watcher(zero_copy=True)
-    observers, sample = Observers([keeper, borrower, other]), sample_of(run)
+    observers, sample = Observers([keeper, borrower, other], N), sample_of(run)
     for k in range(3):
         fill(run, k)
         observers.observe(sample._replace(tick=k))

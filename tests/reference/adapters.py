@@ -226,17 +226,8 @@ def rho_and_rate(function, x, x_rate):
 
 def from_ned(velocity, vectors):
     """Resolve vectors (n, 3) of NED in the velocity frames of velocities (n, 3)."""
-    out = np.empty(np.shape(vectors))
-    _from_ned(np.ascontiguousarray(velocity), np.ascontiguousarray(vectors), out)
-    return out
-
-
-@entry
-def _from_ned(velocity, vectors, out):
-    for i in range(len(velocity)):
-        frame = frames.frame_angles(velocity[i, 0], velocity[i, 1], velocity[i, 2])
-        a, b, c = frames.from_ned(frame, vectors[i, 0], vectors[i, 1], vectors[i, 2])
-        out[i, 0], out[i, 1], out[i, 2] = a, b, c
+    pairs = zip(velocity, vectors, strict=True)
+    return np.array([frames.from_ned(frames.frame_angles(*v), *each) for v, each in pairs])
 
 
 def frame_rate(gamma, chi_dot, gamma_dot):
@@ -256,17 +247,8 @@ def _frame_rates(gamma, chi_dot, gamma_dot, out):
 
 def frame_acceleration(gamma, chi_dot, gamma_dot, chi_ddot):
     """As `formation_geometry.frame_acceleration`."""
-    n = len(chi_dot)
-    out = np.empty((n, 3))
-    _frame_accelerations(*(_dense(each, n) for each in (gamma, chi_dot, gamma_dot, chi_ddot)), out)
-    return out
-
-
-@entry
-def _frame_accelerations(gamma, chi_dot, gamma_dot, chi_ddot, out):
-    for i in range(len(out)):
-        a, b, c = frames.frame_angular_acceleration(gamma[i], chi_dot[i], gamma_dot[i], chi_ddot[i])
-        out[i, 0], out[i, 1], out[i, 2] = a, b, c
+    agents = np.broadcast(gamma, chi_dot, gamma_dot, chi_ddot)
+    return np.array([frames.frame_angular_acceleration(*each) for each in agents])
 
 
 def slot_motions(frame, rate, acceleration, offsets):
@@ -300,15 +282,8 @@ def _slot_motions(angles, rate, acceleration, upsilon, out):
 
 def velocity_rates(velocity, acceleration):
     """As `formation_geometry.velocity_rates`."""
-    out = np.empty((2, len(velocity)))
-    _velocity_rates(np.ascontiguousarray(velocity), np.ascontiguousarray(acceleration), out)
-    return out[0], out[1]
-
-
-@entry
-def _velocity_rates(velocity, acceleration, out):
-    for i in range(len(velocity)):
-        out[0, i], out[1, i] = frames.velocity_rates(velocity[i], acceleration[i])
+    agents = zip(velocity, acceleration, strict=True)
+    return tuple(np.array([frames.velocity_rates(*each) for each in agents]).T)
 
 
 def true_slots(position, velocity, offsets, altitudes):
@@ -337,19 +312,11 @@ def corrected(inbox, now, from_timestamp, with_acceleration):
     links, law = allocate(LINK, *inbox.stamp_s.shape), allocate(LAW, len(inbox.stamp_s))
     write_fields(links, inbox)
     law["from_timestamp"], law["with_acceleration"] = from_timestamp, with_acceleration
-    out = np.empty((2, *links.shape, 3))
-    _extrapolate(law, links, now, out)
-    return out[0], out[1]
-
-
-@entry
-def _extrapolate(law, links, now, out):
-    for i in range(links.shape[0]):
-        for m in range(links.shape[1]):
-            motion = extrapolate(law[i], links[i, m], now)
-            for axis in range(3):
-                out[0, i, m, axis] = motion[0][axis]
-                out[1, i, m, axis] = motion[1][axis]
+    found = [
+        [extrapolate(one, link, float(now)) for link in row]
+        for one, row in zip(law, links, strict=True)
+    ]
+    return tuple(np.moveaxis(found, 2, 0))
 
 
 def differentiate(memory, time_s, velocity, blend):

@@ -113,14 +113,6 @@ class Filters(NamedTuple):
     rate: np.ndarray  # (N, 2, M, 3) rad/s per state
 
 
-@entry
-def _write_filters(mixture, distance, sigma, length, span, first_order, third_order):
-    for i in range(len(distance)):
-        dryden.write_filters(
-            mixture, distance[i], sigma[i], length[i], span[i], first_order[i], third_order[i]
-        )
-
-
 def filter_records(spectrum, distance, sigma, length, span):
     """FIRST_ORDER (N, M + 1) and THIRD_ORDER (N, 2, M) of N aircraft for one step."""
     mixture = np.stack(dryden.MIXTURES[spectrum])
@@ -128,7 +120,8 @@ def filter_records(spectrum, distance, sigma, length, span):
     first_order = allocate(dryden.FIRST_ORDER, n, parts + 1)
     third_order = allocate(dryden.THIRD_ORDER, n, 2, parts)
     args = (np.array(each, dtype=float) for each in (distance, sigma, length, span))
-    _write_filters(mixture, *args, first_order, third_order)
+    for each in zip(*args, first_order, third_order, strict=True):
+        dryden.write_filters(mixture, *each)
     return first_order, third_order
 
 
@@ -141,20 +134,11 @@ def make_filters(spectrum, distance, sigma, length, span):
     )
 
 
-@entry
-def _axes(height, velocity, euler, out):
-    for i in range(len(height)):
-        rows = dryden.turbulence_axes(height[i], velocity[i, 0], velocity[i, 1], euler[i])
-        for row in range(3):
-            for column in range(3):
-                out[i, row, column] = rows[row][column]
-
-
 def turbulence_axes(height, velocity_through_air_ned, euler):
     """The matrices (N, 3, 3) that take turbulence from its axes to NED."""
-    out = np.empty((len(height), 3, 3))
-    _axes(height, np.ascontiguousarray(velocity_through_air_ned), euler, out)
-    return out
+    north, east, _ = np.transpose(velocity_through_air_ned)
+    agents = zip(height, north, east, euler, strict=True)
+    return np.array([dryden.turbulence_axes(*each) for each in agents])
 
 
 # ---------------------------------------------------------------------------------------- wakes
@@ -177,14 +161,9 @@ def wake_delta_cl(downwash, airspeed, roll_gain):
     return wake.wake_delta_cl(float(roll_gain), moment, float(airspeed))
 
 
-@entry
-def _crossing(wake_, trails, j, place):
-    return wake.trail_crossing(wake_[0], trails[j], (place[0], place[1], place[2]))
-
-
 def trail_crossing(model, trail, place):
     """Where a trail of a wake model passes a place (3,) m."""
-    return _crossing(model.wake, model.trails, trail, np.asarray(place, dtype=float))
+    return wake.trail_crossing(model.wake[0], model.trails[trail], tuple(map(float, place)))
 
 
 def add_wakes(model, position, velocity, acceleration, euler, ambient):

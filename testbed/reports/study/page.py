@@ -7,7 +7,7 @@ from html import escape
 from rich.console import Console
 from rich.padding import Padding
 
-from testbed import __version__
+from testbed.core.version import __version__
 from testbed.metrics.summary import count_out_of_slot
 from testbed.reports.html import (
     Page,

@@ -25,7 +25,6 @@ from testbed.vehicle.compiled.aircraft import CompiledAircraft
 from testbed.vehicle.compiled.columns import AIR_INPUTS, CONTROLS, WIND
 from testbed.vehicle.compiled.elements import NotTranslated
 from testbed.vehicle.compiled.rows import write_motion
-from testbed.vehicle.environment import INTEGRATORS, Integrators
 from testbed.vehicle.jsbsim_adapter import VERSION, folder_digest, load
 from testbed.vehicle.jsbsim_io import MOTION_PROPERTIES
 from testbed.vehicle.jsbsim_model import JsbsimModel
@@ -57,24 +56,8 @@ class Proof:
         return not self.unequal
 
 
-def prove(folder: Path, rate_hz: int, integrators: Integrators = INTEGRATORS) -> Proof:
-    """Compare the aircraft in a folder, compiled, with JSBSim; the result is kept on disk.
-
-    Args:
-        folder: of the aircraft.
-        rate_hz: steps per second.
-        integrators: of the flight model.
-
-    Raises:
-        AircraftError: JSBSim cannot load the aircraft.
-        NotTranslated: the aircraft has a part that only JSBSim flies.
-    """
-    aircraft = CompiledAircraft(folder, load(folder, rate_hz, integrators), integrators)
-    return prove_aircraft(aircraft, rate_hz)
-
-
 def prove_aircraft(aircraft: CompiledAircraft, rate_hz: int) -> Proof:
-    """Compare a compiled aircraft with JSBSim; see `prove`."""
+    """Compare a compiled aircraft with JSBSim, at steps per second; keep the result on disk."""
     kept = _file(aircraft, rate_hz)
     if kept is not None:
         with suppress(InputError, ValueError, TypeError):
