@@ -58,6 +58,7 @@ GROUPS: Final[Mapping[str, Mapping[str, str]]] = {
         "telemetry-radio": "one shared radio with MAVLink frames",
         "partition-and-heal": "formation divided, then whole again",
         "leader-silent": "no messages from the leader",
+        "late-radio-loss": "half of the messages lost from 300 s on",
     },
     "wind": {
         "wind-8ms": "steady wind of 8 m/s",

@@ -38,6 +38,8 @@ class Call:
         args: arrays, numbers, tuples of numbers; the last may be `NOW`.
     """
 
+    ADDRESSES = "words", "_alone"
+
     def __init__(self, function: Callable[..., Any], *args: Any) -> None:  # noqa: ANN401
         """See the class."""
         self._function, self._takes_time = function, bool(args) and args[-1] is NOW
@@ -114,6 +116,8 @@ class CallList:
     Attributes:
         found: what the call returned at which `run` ended, (1,); 0: a step of Python's.
     """
+
+    ADDRESSES = ("_addresses",)
 
     def __init__(self, calls: Sequence[Call | None]) -> None:
         """See the class; nothing is compiled or called yet."""

@@ -6,12 +6,13 @@ random generators. Returning writes these into the same objects again, so that a
 code stay right. What has its state elsewhere, such as a program or a file, is refused by name.
 
 A class may name attributes in `UNSAVED`: these are no state of a flight, or are made again where
-they are missing. It may have a method `unused_arrays`, of arrays that are written before they are
-read.
+they are missing; and in `ADDRESSES`: these are right in their own object only. It may have a method
+`unused_arrays`, of arrays that are written before they are read.
 """
 
 from __future__ import annotations
 
+import copy
 import enum
 import types
 from collections import OrderedDict, defaultdict, deque
@@ -81,8 +82,8 @@ class SavedState:
         """Return all objects to this state."""
         for back in self._objects:
             back()
-        for array, copy in zip(self._arrays, self._copies, strict=True):
-            array[:] = copy
+        for array, kept in zip(self._arrays, self._copies, strict=True):
+            array[:] = kept
 
 
 class Replayed(Iterator[T]):
@@ -119,62 +120,172 @@ def copy_state(source: object, target: object) -> None:
     Raises:
         TypeError: their structures differ.
     """
-    seen, waiting = set[int](), [(source, target)]
+    seen, waiting = set[int](), [(source, target, "")]
     while waiting:
-        one, other = waiting.pop()
+        one, other, path = waiting.pop()
         if one is other or id(one) in seen or is_compiled(one):
             continue
         seen.add(id(one))
         if type(one) is not type(other):
-            raise TypeError(f"{one!r} and {other!r} are of two kinds")
+            raise TypeError(f"{path}: is a {type(one)} here and a {type(other)} there")
         if isinstance(one, np.ndarray):
             assert isinstance(other, np.ndarray), "of one type"
             if other.flags.writeable:
                 other[...] = one
-        elif isinstance(one, np.random.Generator):
-            assert isinstance(other, np.random.Generator), "of one type"
-            other.bit_generator.state = one.bit_generator.state
-        else:
-            waiting += _pair_parts(one, other)
+            continue
+        for name, (a, b), write in _parallel_parts((one, other)):
+            if not isinstance(a, _CONSTANT):
+                waiting.append((a, b, f"{path}{name}"))
+            elif write is not None:
+                write(a)
+            elif _differ(a, b):
+                raise TypeError(f"{path}{name}: {a!r} and {b!r} cannot be exchanged")
 
 
-def _pair_parts(one: Any, other: Any) -> Iterator[tuple[object, object]]:  # noqa: ANN401
-    """Yield pairs of the parts of two objects; constants are written into the other.
+def take_changes(before: object, after: object, target: object) -> list[str]:
+    """Write what has changed in an object into another one, which keeps all else.
 
-    Raises:
-        TypeError: they have other parts, or other constants where these cannot be written.
+    Numbers are compared word by word, of 8 bytes. So parameters, which do not change, stay those of
+    the target.
+
+    Args:
+        before: a twin of `after` in the state that this had.
+        after: an object in its present state.
+        target: of a similar structure.
+
+    Returns:
+        Names of the parts that have changed and have no place in the target.
     """
-    pairs = list[tuple[object, object, Any]]()
+    seen, left = set[int](), list[str]()
+    waiting = [(before, after, target, "")]
+    while waiting:
+        old, new, mine, path = waiting.pop()
+        if new is mine or id(new) in seen or is_compiled(new):
+            continue
+        seen.add(id(new))
+        if isinstance(new, np.ndarray) and isinstance(old, np.ndarray):
+            fits = _take_words(old, new, mine)
+        else:
+            kinds = {(type(each).__module__, type(each).__qualname__) for each in (old, new, mine)}
+            fits = len(kinds) == 1 and _size(old) == _size(new) == _size(mine)
+        if not fits and _has_changed(old, new):
+            left.append(path)
+        if not fits or isinstance(new, np.ndarray):
+            continue
+        for name, (a, b, c), write in _parallel_parts((old, new, mine)):
+            constants = [isinstance(each, _CONSTANT) for each in (a, b, c)]
+            if not any(constants):
+                waiting.append((a, b, c, f"{path}{name}"))
+            elif all(constants) and not _differ(a, b):
+                continue
+            elif write is None or not _is_data(b):
+                left.append(f"{path}{name}")
+            else:
+                write(copy.deepcopy(b))
+    return left
+
+
+def _take_words(old: NDArray[Any], new: NDArray[Any], mine: object) -> bool:
+    """Write the words of an array that have changed into another; return whether they fit."""
+    if not (isinstance(mine, np.ndarray) and old.shape == new.shape == mine.shape):
+        return False
+    if not old.dtype == new.dtype == mine.dtype:
+        return False
+    kind = np.uint64 if new.dtype.itemsize % 8 == 0 else np.uint8
+    size = 1 if kind is np.uint64 else new.dtype.itemsize  # whole numbers, where words do not fit
+    old_words, new_words, words = (
+        np.array(each, order="C").reshape(-1).view(kind).reshape(-1, size)
+        for each in (old, new, mine)
+    )
+    changed = (old_words != new_words).any(axis=1)
+    if changed.any():
+        words[changed] = new_words[changed]
+        mine[...] = words.reshape(-1).view(new.dtype).reshape(new.shape)
+    return True
+
+
+def _has_changed(old: object, new: object) -> bool:
+    """Return whether an object differs from a twin."""
+    seen, waiting = set[int](), [(old, new)]
+    while waiting:
+        one, other = waiting.pop()
+        if one is other or id(other) in seen or is_compiled(other):
+            continue
+        seen.add(id(other))
+        if isinstance(one, _CONSTANT) or isinstance(other, _CONSTANT):
+            if _differ(one, other):
+                return True
+        elif type(one) is not type(other) or _size(one) != _size(other):
+            return True
+        elif isinstance(one, np.ndarray):
+            if one.tobytes() != np.asarray(other).tobytes():
+                return True
+        else:
+            waiting += [(a, b) for _, (a, b), _ in _parallel_parts((one, other))]
+    return False
+
+
+def _size(value: object) -> object:
+    """Return the size of a container, and the shape of an array; None of other objects."""
+    if isinstance(value, np.ndarray):
+        return value.shape
+    return len(value) if isinstance(value, dict | list | deque | tuple) else None
+
+
+def _is_data(value: object) -> bool:
+    """Return whether something consists of numbers, texts and containers alone."""
+    if isinstance(value, dict):
+        return all(map(_is_data, value.values()))
+    if isinstance(value, list | tuple | set | deque):
+        return all(map(_is_data, value))
+    return isinstance(value, (np.ndarray, *_CONSTANT))
+
+
+def _differ(one: object, other: object) -> bool:
+    """Return whether two values differ, of which one is a constant; NaN equals NaN."""
+    same = one is other or (type(one) is type(other) and one == other)
+    return not (same or (one != one and other != other))  # noqa: PLR0124
+
+
+Part = tuple[str, tuple[Any, ...], "Callable[[object], object] | None"]
+
+
+def _parallel_parts(objects: tuple[Any, ...]) -> Iterator[Part]:
+    """Yield the parts of objects of one type: name, of each object, and what writes the last one's.
+
+    Parts that not all of them have are left out.
+    """
+    one, last = objects[0], objects[-1]
+    write: Callable[[object], object] | None
     if isinstance(one, types.FunctionType):
-        cells = zip(one.__closure__ or (), other.__closure__ or (), strict=True)
-        pairs += [
-            (a.cell_contents, b.cell_contents, partial(setattr, b, "cell_contents"))
-            for a, b in cells
-        ]
+        cells = zip(*(each.__closure__ or () for each in objects), strict=True)
+        for name, same in zip(one.__code__.co_freevars, cells, strict=True):
+            contents = tuple(each.cell_contents for each in same)
+            yield f".{name}", contents, partial(setattr, same[-1], "cell_contents")
     elif isinstance(one, types.MethodType):
-        pairs.append((one.__self__, other.__self__, None))
+        yield "", tuple(each.__self__ for each in objects), None
     elif type(one) is partial:
-        pairs += [(a, b, None) for a, b in zip(one.args, other.args, strict=True)]
+        for same in zip(*(each.args for each in objects), strict=True):
+            yield "()", same, None
+    elif isinstance(one, np.random.Generator):
+        states = tuple(repr(each.bit_generator.state) for each in objects)
+        state = objects[-2].bit_generator.state
+        yield "", states, lambda _: setattr(last.bit_generator, "state", state)
     elif isinstance(one, dict):
-        pairs += [(each, other[key], partial(other.__setitem__, key)) for key, each in one.items()]
-    elif isinstance(one, list | deque):
-        both = enumerate(zip(one, other, strict=True))
-        pairs += [(a, b, partial(other.__setitem__, k)) for k, (a, b) in both]
-    elif isinstance(one, tuple):
-        pairs += [(a, b, None) for a, b in zip(one, other, strict=True)]
+        for key in [key for key in one if all(key in each for each in objects)]:
+            write = partial(last.__setitem__, key)
+            yield f"[{key!r}]", tuple(each[key] for each in objects), write
+    elif isinstance(one, list | tuple | deque):
+        for k, same in enumerate(zip(*objects, strict=True)):
+            write = None if isinstance(one, tuple) else partial(last.__setitem__, k)
+            yield f"[{k}]", same, write
     else:
-        names = {*getattr(one, "__dict__", ()), *_slots(type(one), object)}
-        for name in names.difference(getattr(type(one), "UNSAVED", ())):
-            frozen = _is_frozen(type(one))
-            write = None if frozen else partial(object.__setattr__, other, name)
-            pairs.append((getattr(one, name), getattr(other, name), write))
-    for a, b, write in pairs:
-        if not isinstance(a, _CONSTANT):
-            yield a, b
-        elif write is not None:
-            write(a)
-        elif a is not b and a != b:
-            raise TypeError(f"{type(one).__qualname__}: {a!r} and {b!r} cannot be exchanged")
+        kind = type(one)
+        names = {*getattr(one, "__dict__", ()), *_slots(kind, object)}
+        names -= {*getattr(kind, "UNSAVED", ()), *getattr(kind, "ADDRESSES", ())}
+        for name in sorted(name for name in names if all(hasattr(e, name) for e in objects)):
+            write = None if _is_frozen(kind) else partial(object.__setattr__, last, name)
+            yield f".{name}", tuple(getattr(each, name) for each in objects), write
 
 
 def _bytes_of(array: NDArray[Any]) -> NDArray[np.uint8]:

@@ -26,6 +26,8 @@ class FormationStages:
             outside.
     """
 
+    ADDRESSES = "_events", "_world", "_parts"  # of the flight
+
     def __init__(
         self,
         world: World,

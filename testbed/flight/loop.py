@@ -13,6 +13,7 @@ from testbed.core.call_list import NOW, Call, Step, run_steps
 from testbed.core.compile import is_interpreted, prepare, registered, registering
 from testbed.core.records import (
     AirData,
+    Event,
     FormationState,
     Observer,
     Records,
@@ -23,7 +24,7 @@ from testbed.core.records import (
     write_fields,
 )
 from testbed.core.samples import make_sample
-from testbed.core.saved_state import Replayed
+from testbed.core.saved_state import Replayed, take_changes
 from testbed.flight.formation_stages import FormationStages
 from testbed.flight.monitors import GustMonitor, LossMonitor
 from testbed.flight.observers import EventQueue, Observers
@@ -43,6 +44,10 @@ from testbed.flight.world import World
 from testbed.vehicle.fleet import Move
 
 Ended: TypeAlias = Callable[[float, TickActions], bool]
+
+
+def _is_sensing(stage: Stage) -> bool:
+    return stage.part is Part.SENSE and stage.name != PAUSE
 
 
 PAUSE = "wait for the caller"  # name of the stage at which `Flight.fly_to` returns
@@ -132,6 +137,8 @@ class Flight:
         clock, all_motions = world.clock, False
         if world.parts is not None:
             all_motions = world.parts.radio.needs_all_positions
+        self._first_tick = 0
+        self._is_begun = world.begin is None  # at its first tick, which else is not 0
         self._last_tick = clock.ticks(world.duration_s)
         self._blocks = Replayed(partial(clock.blocks, all_motions=all_motions))
         self._entries = *world.entries, *registered()
@@ -296,8 +303,37 @@ class Flight:
             self._paused_loop.bind()
 
     def settle(self) -> None:
-        """Let the filters settle, after `compile`."""
+        """Let the filters settle, or take over an earlier flight, after `compile`."""
         self._world.estimators.warm_up(self._world.aircraft)
+        if self._world.begin is not None:
+            self._world.begin(self)
+
+    def take_over(self, before: Flight, after: Flight) -> list[str]:
+        """Begin as another flight has paused: with all that has changed in it.
+
+        Args:
+            before: the other flight as it was when it began.
+            after: the same, paused.
+
+        Returns:
+            Names of the parts that have changed and have no place here.
+        """
+        left = []
+        for each in (before, self):
+            each._world.formation.radio.match(after._world.formation.radio)
+        for name in ("_world", "_losses", "_gust_monitor", "_formation"):
+            flown = (getattr(before, name), getattr(after, name), getattr(self, name))
+            left += [f"{name.lstrip('_')}{part}" for part in take_changes(*flown)]
+        estimators, own = before._world.estimators, self._world.estimators
+        if own.exact != estimators.exact or any("world.estimators" in each for each in left):
+            own.warm_up(self._world.aircraft)  # up to the present motion
+        self._world.formation.radio.restart_statistics()
+        self._first_tick = self._world.clock.ticks(after.time_s)
+        return left
+
+    def add_event(self, event: Event) -> None:
+        """Add an event before the first tick."""
+        self._events += [event]
 
     def fly(self, ended: Ended) -> str:
         """Fly to the end, after `prepare`; observers get a sample at the log rate.
@@ -385,6 +421,8 @@ class Flight:
                 self.write_observed(loop.time_s)
                 return False
             loop.load(*next(self._blocks), self._last_tick)
+            if not self._is_begun:
+                self._is_begun = loop.seek(self._first_tick, _is_sensing)
 
     def steer(self, now: float, due: TickActions) -> None:
         """Sense and control at a time, s, without stepping autopilots: for measurements."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from math import nan
 from typing import Any, NamedTuple, TypeAlias
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from testbed.core.call_list import Call, Words, call_words
 from testbed.core.compile import entry, is_interpreted
+from testbed.core.errors import InputError
 from testbed.core.records import Array, BoolArray, Indices, Records, allocate
 from testbed.flight.schedule import Scheduled, TickActions
 from testbed.flight.stages import Part, Stage
@@ -140,6 +141,26 @@ class TickLoop:
         if len(rows):
             place["now"] = rows[0][0] / place["rate_hz"]
         self._call.rebind(*self._arguments)
+
+    def seek(self, tick: int, behind: Callable[[Stage], bool]) -> bool:
+        """Begin at a tick of the block, behind its stages of a kind; false: the tick is later.
+
+        Raises:
+            InputError: nothing happens at the tick.
+        """
+        place, ticks = self._place, self._block["tick"]
+        period, last = int(place["period"][0]), int(ticks[-1])
+        offset = max(0, -(-(tick - last) // period) * period) if period else 0
+        row = int(np.searchsorted(ticks + offset, tick))
+        if row == len(ticks):
+            place["row"] = row
+            return False
+        if ticks[row] + offset != tick:
+            raise InputError(f"nothing happens at tick {tick}")
+        place["row"], place["offset"] = row, offset
+        stages = self._programs[int(self._actions["program"][self._block["action"][row]])]
+        place["stage"] = sum(behind(each) for each in stages)
+        return True
 
     def limit(self, ticks: int) -> None:
         """Let `run` end after some ticks."""
@@ -315,13 +336,12 @@ def _run_ticks(
         if tick > at.last:
             at.done = True
             break
-        if at.stage == 0:
-            steps[0] = action.steps
-            for i in range(len(senders)):
-                needed[i] = needed_of[row.action, i]
-                if action.broadcasts:
-                    senders[i] = senders_of[row.action, i]
-                    planned_s[i] = planned_rows[row.planned, i] if row.planned >= 0 else nan
+        steps[0] = action.steps
+        for i in range(len(senders)):
+            needed[i] = needed_of[row.action, i]
+            if action.broadcasts:
+                senders[i] = senders_of[row.action, i]
+                planned_s[i] = planned_rows[row.planned, i] if row.planned >= 0 else nan
         at.now = now = tick / at.rate_hz
         moves = tick + action.steps <= at.last and not at.ending
         while at.stage < (action.stages if moves else action.before_move):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 from testbed.atmosphere.air import Atmosphere
 from testbed.core.compile import Arguments
@@ -139,7 +139,9 @@ class World:
     # Makes what depends on the seed alone, for another seed; in the order of `of_seed`
     make_of_seed: Callable[[int], tuple[object, ...]] | None = None  # None: more depends on it
 
-    UNSAVED: ClassVar[tuple[str, ...]] = ("entries", "make_of_seed")
+    begin: Callable[[Any], None] | None = None  # lets a flight take over another; None: at 0 s
+
+    UNSAVED: ClassVar[tuple[str, ...]] = ("entries", "make_of_seed", "begin")
 
     @property
     def of_seed(self) -> tuple[object, ...]:

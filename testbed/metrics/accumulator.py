@@ -171,7 +171,7 @@ class Accumulator:
         p, n = len(windows), followers
         self._span = _span_samples(n + 1)
         self._waiting: list[SampleBlock] = []  # samples of the next span
-        self.last_tick = NEVER
+        self.first_tick = self.last_tick = NEVER
         self.lost_tick = _never(n + 1)
         self.samples = _counts(n + 1)  # in which an aircraft was not lost
         self.slot_samples = _counts(n)  # in which a follower had a slot
@@ -246,6 +246,8 @@ class Accumulator:
         self.lost_tick = block.first_lost(self.lost_tick)
         if lost.any():
             block = block.exclude_lost(self.lost_tick)
+        if self.first_tick == NEVER:
+            self.first_tick = int(block.tick[0])
         self.last_tick = int(block.tick[-1])
         self.samples += (~lost).sum(axis=0)
         self.slot_samples += (~no_slot).sum(axis=0)

@@ -53,7 +53,8 @@ def finalise(
     """
     if outcome not in OUTCOMES:
         raise ValueError(f"outcome {outcome!r} is none of {', '.join(OUTCOMES)}")
-    factor = summary["simulated_s"] / wall_s if wall_s > 0 else None
+    flown_s = summary["simulated_s"] - summary.get("begin_s", 0.0)
+    factor = flown_s / wall_s if wall_s > 0 else None
     document: dict[str, Any] = {
         **summary,
         "age_of_information_s": {

@@ -259,7 +259,8 @@ class Metrics(SlotSpeed):
     versions: dict[str, str]
     engine: NotRequired[Literal["compiled", "jsbsim"] | None]  # earlier logs do not have it
     outcome: str | None
-    simulated_s: Number
+    begin_s: NotRequired[Number]  # of a flight that begins as another one was then
+    simulated_s: Number  # time of the last sample
     wall_s: Known
     real_time_factor: Known
     windows: ByWindow[WindowMetrics]

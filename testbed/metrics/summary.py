@@ -49,6 +49,7 @@ def summarise(
         "versions": dict(info.versions),
         "engine": info.engine or None,
         "outcome": None,
+        **({"begin_s": begin_s} if (begin_s := _time(total.first_tick, info)) else {}),
         "simulated_s": _time(total.last_tick, info) or 0.0,
         "wall_s": None,
         "real_time_factor": None,

@@ -300,7 +300,10 @@ def _print_facts(rows: Sequence[tuple[str, str | Text]], console: Console) -> No
 def _headline(metrics: Metrics, width: int) -> list[Text]:
     """Scenario, outcome, times and seed, broken between these where a line is full."""
     outcome = (metrics["outcome"] or "in flight").replace("_", " ")
-    time = f"{metrics['simulated_s']:.0f} s simulated"
+    begin_s = metrics.get("begin_s", 0.0)
+    time = f"{metrics['simulated_s'] - begin_s:.0f} s simulated"
+    if begin_s:
+        time += f" from {begin_s:g} s"
     if metrics["wall_s"] is not None:
         time += f" in {metrics['wall_s']:.1f} s"
     if (factor := metrics["real_time_factor"]) is not None:
@@ -398,7 +401,8 @@ def _saturated_share(metrics: Metrics, name: str, kind: str) -> str:
     found = metrics["saturations"][name]
     period = found["seconds"] / found["samples"] if found["samples"] else 0.0
     # the first and the last sample count, too
-    samples = float(metrics["simulated_s"]) / period + 1.0 if period else 1.0
+    flown_s = metrics["simulated_s"] - metrics.get("begin_s", 0.0)
+    samples = flown_s / period + 1.0 if period else 1.0
     share = 100.0 * found["by_kind"][kind] / samples
     return f"{share:.1f}" if share else "0"
 

@@ -54,7 +54,7 @@ class Encoder:
         """Start before the first broadcast."""
         self._encoding, self._channel = encoding, channel
         self._read = allocate(MESSAGE, len(channel.names))
-        self._frames: Frames = np.zeros((0, 0), np.uint8)
+        self._frames: Frames = np.zeros((0, 0), np.uint8)  # of the last broadcast
         self.refused = self.discarded = self.undetected = 0
 
     def encode(self, messages: Records, stamp_s: Array, rows: Numbers, numbers: Numbers) -> Records:

@@ -145,6 +145,15 @@ class Radio:
             return None, lambda now: self._send_broadcast(truth)
         return self._send, lambda now: self._grow_queue()
 
+    def match(self, other: Radio) -> None:
+        """Have space for as many messages on their way as another radio of the same links."""
+        while len(self._queue) < len(other._queue):
+            self._grow_queue()
+
+    def restart_statistics(self) -> None:
+        """Count from now on."""
+        self.statistics[:] = initial_statistics(*self.statistics.shape)
+
     def _grow_queue(self) -> None:
         """Double the space for messages on their way."""
         queue, count = allocate(QUEUED_MESSAGE, 2 * len(self._queue)), self._counts[0]

@@ -30,6 +30,7 @@ from testbed.flight.arduplane_vehicles import ArduPlaneVehicles
 from testbed.flight.control import Control
 from testbed.flight.faults import FaultManager, no_faults
 from testbed.flight.limits import ProximityMonitor
+from testbed.flight.loop import Flight
 from testbed.flight.schedule import Clock, make_clock
 from testbed.flight.world import BuiltControl, FormationParts, LeaderSetup, World
 from testbed.plan.air import (
@@ -41,6 +42,7 @@ from testbed.plan.air import (
     temperature_offset,
     temperature_warnings,
 )
+from testbed.plan.begin import make_begin
 from testbed.plan.commands import build_array_commands, build_external_control
 from testbed.plan.control import build_companions, build_control
 from testbed.plan.faults import build_faults, build_membership, fault_warnings
@@ -250,8 +252,16 @@ def build(
         ),
         entries=registered(),
         make_of_seed=make_of_seed if rates.synchronous else None,
+        begin=make_begin(scenario, vehicles.fleet, _fly_prior),
         is_random=air.is_random or radio.is_random or not (estimators.exact and rates.synchronous),
     )
+
+
+def _fly_prior(scenario: Scenario) -> Flight:
+    """Return the flight of a scenario, at its first tick."""
+    flight = Flight(build(scenario, in_process=True), [])
+    flight.prepare()
+    return flight
 
 
 @registering()

@@ -62,6 +62,7 @@ def cross_check(scenario: Sections) -> list[Finding]:
         *_limits(scenario),
         *check_network(scenario),
         *check_air(scenario.air),
+        *_begin(scenario),
         *_windows(scenario),
         *_published(scenario),
         *check_expect(scenario.expect, list(scenario.scenario.windows), followers),
@@ -117,10 +118,33 @@ def _rates(scenario: Sections) -> Iterator[Finding]:
             )
 
 
+def _begin(scenario: Sections) -> Iterator[Finding]:
+    begin = scenario.scenario.begin
+    if begin is None:
+        return
+    if begin.at_s >= scenario.scenario.duration_s:
+        yield (
+            ("scenario", "begin", "at_s"),
+            f"is not before the end, at {scenario.scenario.duration_s:g} s (write a longer "
+            "duration_s)",
+        )
+    for at, aircraft in _aircraft(scenario):
+        for index, fault in enumerate(aircraft.faults):
+            if fault.at_s is not None and fault.at_s < begin.at_s:
+                text = f"is before the flight begins, at {begin.at_s:g} s"
+                yield (*at, "faults", index, "at_s"), text
+        if aircraft.commanded_by.kind == "external" or aircraft.autopilot.kind == "ardupilot":
+            text = "is not for flights that begin with another one (write scenario.begin: null)"
+            yield at, f"{aircraft.name} is commanded from outside or has an ArduPlane, which {text}"
+
+
 def _windows(scenario: Sections) -> Iterator[Finding]:
     duration = scenario.scenario.duration_s
+    start = scenario.scenario.begin.at_s if scenario.scenario.begin else 0.0
     for name, (begin, end) in scenario.scenario.windows.items():
         at = ("scenario", "windows", name)
+        if begin < start:
+            yield at, f"begins at {begin:g} s, before the flight, which begins at {start:g} s"
         if begin >= end:
             yield at, f"[{begin:g}, {end:g}] is not a window (write [from, to] in s)"
         elif end > duration:

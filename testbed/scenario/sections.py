@@ -75,6 +75,13 @@ class Published(Section):
     )
 
 
+class Begin(Section):
+    """Another flight that this one begins with."""
+
+    scenario: str = Field(min_length=1, description="Name or path of its scenario.")
+    at_s: Seconds = Field(gt=0, le=MAX_DURATION_S, description="Time of both flights, s.")
+
+
 class Header(Section):
     """Name, question, duration, seed and windows of the run."""
 
@@ -98,6 +105,11 @@ class Header(Section):
         "auto",
         description="What steps the flight models: compiled functions, JSBSim, or auto: compiled "
         "functions where they are proved equal to JSBSim.",
+    )
+    begin: Begin | None = Field(
+        None,
+        description="Flight that this one begins with: motion, autopilots, controllers, filters "
+        "and messages are its own at that time; all else is that of this scenario.",
     )
     origin: Origin = Field(Origin(), description="Origin of the local frame on the earth.")
     windows: Mapping[Name, Window] = Field(

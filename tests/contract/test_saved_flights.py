@@ -85,6 +85,97 @@ def test_state_that_is_not_saved_is_noticed(part, monkeypatch):
     assert fly(simulation) != flown
 
 
+def begun(name, *changes, at_s=5.3):
+    """The scenario that begins as one is at a time, with changes; without its windows."""
+    settings = [
+        f"scenario.begin={{scenario: {name}, at_s: {at_s}}}",
+        "scenario.windows=null",
+        "scenario.published=null",
+        "expect={}",
+    ]
+    return set_duration(load_scenario(name, [*settings, *changes]), 10.0)
+
+
+@pytest.mark.parametrize("name", [each for each in CHOSEN if each != "own-law-repulsion"])
+def test_flight_begins_as_another_to_the_bit(name):
+    other, own = (testbed.Simulation(each) for each in (short(name), begun(name, at_s=5.3)))
+    other.step(until=5.3)
+    assert own.time_s == other.time_s
+    assert fly(own)[0] == fly(other)[0]
+    assert own.outcome == other.outcome
+
+
+@pytest.mark.parametrize(
+    ("changes", "anew"),
+    [
+        (["network.loss=0.9"], ""),
+        (["controller.gain_scale=0.5"], ""),
+        (["air.wind={speed_mps: 4, from_deg: 90}"], ""),
+        (["fleet.*.sensors=gps-ins"], ""),
+        (["controller.law=leader_follower:LeaderFollower"], "law and middle loop begin anew"),
+    ],
+)
+def test_variants_begin_alike_and_part(changes, anew):
+    own, other = (
+        testbed.Simulation(begun("simulation-3", *changes)),
+        testbed.Simulation(short("simulation-3")),
+    )
+    other.step(until=5.3)
+    first = own.state.truth.position_ned
+    np.testing.assert_array_equal(first, other.state.truth.position_ned)
+    moved = fly(own)[0] != fly(other)[0]
+    assert own.metrics["max_error_m"]["uav1"] < 20.0
+    assert moved and own.outcome == "completed"
+    text = next(each.text for each in own.events if each.text.startswith("begins as simulation-3"))
+    assert text.endswith(anew or "simulation-3")
+
+
+def test_run_batch_and_log_begin_alike(tmp_path):
+    scenario = begun("simulation-3-noise", "network.loss=0.5")
+    flown = testbed.run(scenario, out=tmp_path / "run")
+    assert flown.metrics["begin_s"] == 5.32  # the first sample of the log
+    sent = flown.metrics["network"]["links"]["leader"]["uav1"]["sent"]
+    assert sent == pytest.approx(25 * 4.7, abs=2)
+    batch = testbed.Batch(scenario, seeds=[1, 2, 1], threads=2)
+    first, second, third = (numbers(each) for each in batch.run())
+    assert first == third == numbers(flown.metrics) != second
+    batch.reset([0], [2])
+    batch.run()
+    assert numbers(batch.metrics(0)) == second
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        (["scenario.begin.at_s=10"], "begin.at_s: is not before the end"),
+        (["scenario.begin.at_s=5.305"], "begin.at_s: is no time at which autopilots step"),
+        (["scenario.begin.scenario=simulation-9"], "there is no scenario 'simulation-9'"),
+        (["scenario.begin.scenario=hold-slot"], "hold-slot has other names than simulation-3"),
+        (["rates.physics_hz=200"], "simulation-3 has other rates than simulation-3"),
+        (["fleet.uav1.aircraft=skywalker_x8"], "simulation-3 has other airframes"),
+        (["scenario.engine=jsbsim"], "flight models of JSBSim have no state"),
+        (["scenario.windows={w: [1, 9]}"], "begins at 1 s, before the flight"),
+        (["fleet.uav1.faults=[{kind: engine-out, at_s: 2}]"], "before the flight begins"),
+        (["fleet.uav1.commanded_by=external"], "is not for flights that begin"),
+    ],
+)
+def test_flights_that_cannot_begin_so_are_refused(changes, text):
+    with pytest.raises(InputError) as caught:
+        testbed.Simulation(begun("simulation-3", *changes))
+    assert text in str(caught.value)
+
+
+def test_other_flight_that_ends_earlier_is_named(tmp_path):
+    brief = tmp_path / "brief.yaml"
+    header = (
+        "{name: brief, duration_s: 6, windows: {rectangles: null, circles: null}, published: null}"
+    )
+    brief.write_text(f"extends: simulation-3\nscenario: {header}\n")
+    scenario = begun("simulation-3", f"scenario.begin={{scenario: {brief}, at_s: 9.0}}")
+    with pytest.raises(InputError, match=r"begin.at_s: brief ends at 6 s: completed \(write an"):
+        testbed.Simulation(scenario)
+
+
 def test_commands_after_a_fork_make_variants():
     changes = ["fleet.uav1.commanded_by=external"]
     simulation = testbed.Simulation("simulation-1", changes)
@@ -200,7 +291,7 @@ def test_copies_need_the_same_structure():
     target = Part(1)
     copy_state(Part(5), target)
     assert target.number == 5 and target.array.tolist() == [5.0] * 3
-    with pytest.raises(TypeError, match="of two kinds"):
+    with pytest.raises(TypeError, match="is a .*list.* here"):
         copy_state({"a": [1]}, {"a": (1,)})
     with pytest.raises(TypeError, match="cannot be exchanged"):
         copy_state([(1, 2)], [(1, 3)])
