@@ -145,8 +145,7 @@ def copy_state(source: object, target: object) -> None:
 def take_changes(before: object, after: object, target: object) -> list[str]:
     """Write what has changed in an object into another one, which keeps all else.
 
-    Numbers are compared word by word, of 8 bytes. So parameters, which do not change, stay those of
-    the target.
+    Numbers are compared one by one. So parameters, which do not change, stay those of the target.
 
     Args:
         before: a twin of `after` in the state that this had.
@@ -164,7 +163,7 @@ def take_changes(before: object, after: object, target: object) -> list[str]:
             continue
         seen.add(id(new))
         if isinstance(new, np.ndarray) and isinstance(old, np.ndarray):
-            fits = _take_words(old, new, mine)
+            fits = _take_numbers(old, new, mine)
         else:
             kinds = {(type(each).__module__, type(each).__qualname__) for each in (old, new, mine)}
             fits = len(kinds) == 1 and _size(old) == _size(new) == _size(mine)
@@ -185,22 +184,22 @@ def take_changes(before: object, after: object, target: object) -> list[str]:
     return left
 
 
-def _take_words(old: NDArray[Any], new: NDArray[Any], mine: object) -> bool:
-    """Write the words of an array that have changed into another; return whether they fit."""
+def _take_numbers(old: NDArray[Any], new: NDArray[Any], mine: object) -> bool:
+    """Write the numbers of an array that have changed into another; return whether they fit."""
     if not (isinstance(mine, np.ndarray) and old.shape == new.shape == mine.shape):
         return False
     if not old.dtype == new.dtype == mine.dtype:
         return False
-    kind = np.uint64 if new.dtype.itemsize % 8 == 0 else np.uint8
-    size = 1 if kind is np.uint64 else new.dtype.itemsize  # whole numbers, where words do not fit
-    old_words, new_words, words = (
-        np.array(each, order="C").reshape(-1).view(kind).reshape(-1, size)
-        for each in (old, new, mine)
+    if new.dtype.names:  # field by field: what is between them is no number
+        for name in new.dtype.names:
+            _take_numbers(old[name], new[name], mine[name])
+        return True
+    was, now = (
+        np.ascontiguousarray(each).reshape(-1).view(np.uint8).reshape(-1, new.dtype.itemsize)
+        for each in (old, new)
     )
-    changed = (old_words != new_words).any(axis=1)
-    if changed.any():
-        words[changed] = new_words[changed]
-        mine[...] = words.reshape(-1).view(new.dtype).reshape(new.shape)
+    changed = (was != now).any(axis=1).reshape(new.shape)  # NaN equals NaN
+    mine[changed] = new[changed]
     return True
 
 

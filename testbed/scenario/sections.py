@@ -79,7 +79,7 @@ class Begin(Section):
     """Another flight that this one begins with."""
 
     scenario: str = Field(min_length=1, description="Name or path of its scenario.")
-    at_s: Seconds = Field(gt=0, le=MAX_DURATION_S, description="Time of both flights, s.")
+    at_s: Seconds = Field(ge=SMALLEST, le=MAX_DURATION_S, description="Time of both flights, s.")
 
 
 class Header(Section):

@@ -115,6 +115,8 @@ BY_KIND = ("ByFormation", "VirtualAutopilot", "External", "ArduPlane")
 SINGLE_VALUE = {(kind, "kind") for kind in ("Bernoulli", *BY_KIND)}
 # A key of every fault that a check refuses for this kind.
 REFUSED = {("BatteryLow", "duration_s")}
+# Keys of flights that begin as another one: not beside commands from outside.
+REFUSED |= {("Header", "begin"), ("Begin", "scenario"), ("Begin", "at_s")}
 
 
 def _sections(value):
