@@ -130,7 +130,7 @@ def check_command(
                 check_folder_writable(case.path.parent)
                 if case.path.parent.is_dir():
                     check_writable(case.path)
-        with progress_counter("flights") as progress:
+        with progress_counter("flights", rate="flights") as progress:
             updates = update_tables(
                 cases,
                 seeds=seeds,
@@ -142,7 +142,7 @@ def check_command(
         print_updates(updates, console)
         passed = all(each.table for each in updates)
     else:
-        with progress_counter("flights") as progress:
+        with progress_counter("flights", rate="flights") as progress:
             verdicts = check(cases, seeds=seeds, jobs=jobs, progress=progress, report=report)
         if junit:
             write_junit(junit, to_junit(verdicts))

@@ -28,6 +28,22 @@ class _RealTimeFactor(ProgressColumn):
         return Text(f"{task.speed:.0f} x" if task.speed else "", style="cyan")
 
 
+class _Rate(ProgressColumn):
+    """Items per second of wall-clock time; empty without a name of the items."""
+
+    def __init__(self, items: str) -> None:
+        super().__init__()
+        self._items = items
+
+    def render(self, task: Task) -> Text:
+        """Format the rate; see rich."""
+        speed = task.speed if self._items else None
+        if not speed:
+            return Text()
+        number = f"{speed:,.0f}" if speed >= 100.0 else f"{speed:.3g}"
+        return Text(f"{number} {self._items}/s", style="cyan")
+
+
 class ProgressBar:
     """Show the progress of a run; hidden where the console is no terminal."""
 
@@ -93,7 +109,7 @@ class CompilingBar:
 
 @contextmanager
 def progress_counter(
-    label: str, *, total: int = 0, unit: str = "", hidden: bool = False
+    label: str, *, total: int = 0, unit: str = "", rate: str = "", hidden: bool = False
 ) -> Iterator[Callable[[int, int], None]]:
     """Show a progress bar on standard error in the block, if that is a terminal.
 
@@ -101,6 +117,7 @@ def progress_counter(
         label: before the bar.
         total: number of items, if known in advance.
         unit: after the numbers.
+        rate: name of the items, to show how many are done per second.
         hidden: show nothing.
 
     Yields:
@@ -111,6 +128,7 @@ def progress_counter(
         TextColumn("[bold]{task.description}"),
         BarColumn(bar_width=None),
         TextColumn(f"{{task.completed:,.0f}} of {{task.total:,.0f}} {unit}".rstrip()),
+        _Rate(rate),
         TimeRemainingColumn(compact=True),
         console=console,
         transient=True,

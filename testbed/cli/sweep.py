@@ -95,7 +95,7 @@ def sweep_command(
         update(done, total)
 
     try:
-        with progress_counter("runs", hidden=quiet) as update:
+        with progress_counter("runs", rate="flights", hidden=quiet) as update:
             result = sweep(
                 study,
                 out,

@@ -53,7 +53,7 @@ def tune_command(
     directory = create_run_directory(problem.tune.study.name, out=out, logs=STUDIES)
     messages.write_line(f" {_announcement(problem)}")
     try:
-        with progress_counter("flights") as progress:
+        with progress_counter("flights", rate="flights") as progress:
             result = tune_gains(
                 problem,
                 directory,

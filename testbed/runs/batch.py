@@ -206,6 +206,10 @@ class Batch:
         """Return the metrics of a row up to now; of a flight that goes on, "interrupted"."""
         return self._rows[self._checked(row)].metrics()
 
+    def depends_on_seed(self, row: int) -> bool:
+        """Return whether another seed may change the numbers of a row."""
+        return self._rows[self._checked(row)].is_random
+
     def events(self, row: int) -> list[Event]:
         """Return all events of a row up to now."""
         return self._rows[self._checked(row)].events.all
@@ -281,6 +285,11 @@ class _Row:
     def address(self) -> int:
         """See `Flight.address`."""
         return self._flight.address
+
+    @property
+    def is_random(self) -> bool:
+        """See `World.is_random`."""
+        return self._world.is_random
 
     @property
     def commanded(self) -> BoolArray:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import queue
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Hashable, Iterable, Iterator
 from concurrent.futures import CancelledError, Future
 from contextlib import contextmanager
 
@@ -29,6 +29,46 @@ MAX_ATTEMPTS = 2  # of a flight whose worker process ends
 POLL_S = 0.1  # interval at which a pending signal is looked for
 
 
+def group_numbers(keys: Iterable[Hashable]) -> list[list[int]]:
+    """Return the positions of keys, those of equal keys in one list."""
+    groups: dict[Hashable, list[int]] = {}
+    for number, key in enumerate(keys):
+        groups.setdefault(key, []).append(number)
+    return list(groups.values())
+
+
+class _GroupedTasks:
+    """Tasks of groups, in the order in which free workers take them."""
+
+    def __init__(self, groups: Iterable[Iterable[FlightTask]]) -> None:
+        self._new = map(iter, groups)
+        self._open: list[Iterator[FlightTask]] = []  # groups of which tasks were taken
+        self._group_of: dict[int, Iterator[FlightTask]] = {}  # of running tasks, by number
+        self._preferred: Iterator[FlightTask] | None = None
+
+    def prefer_group_of(self, task: FlightTask) -> None:
+        """Take the next task from the group of one that has ended."""
+        self._preferred = self._group_of.pop(task.number, None)
+
+    def take(self) -> FlightTask | None:
+        """Return the next task; None: there are no more."""
+        for group in self._candidates():
+            task = next(group, None)
+            if task is not None:
+                self._preferred, self._group_of[task.number] = None, group
+                return task
+            self._open.remove(group)
+        return None
+
+    def _candidates(self) -> Iterator[Iterator[FlightTask]]:
+        if self._preferred is not None and self._preferred in self._open:
+            yield self._preferred
+        for group in self._new:
+            self._open.append(group)
+            yield group
+        yield from tuple(self._open)
+
+
 class FlightPool:
     """Distributes tasks over the workers of a pool, and collects their results."""
 
@@ -44,10 +84,16 @@ class FlightPool:
         self._report: Callable[[str], None] | None = report
 
     def run(self, tasks: Iterable[FlightTask]) -> Iterator[FlightResult]:
-        """Fly tasks and yield their results in the order in which they end.
+        """Fly tasks in this order; see `run_groups`."""
+        return self.run_groups([tasks])
 
-        Tasks are taken from the iterable as workers become free. A task whose worker process is
-        killed is flown once more; after `MAX_ATTEMPTS` it has failed.
+    def run_groups(self, groups: Iterable[Iterable[FlightTask]]) -> Iterator[FlightResult]:
+        """Fly groups of tasks and yield their results in the order in which they end.
+
+        Tasks are taken from the iterables as workers become free: the next one of the group whose
+        task has ended, else the first of the next group, else one of a group that others fly. A
+        worker so flies tasks of one group one after another. A task whose worker process is killed
+        is flown once more; after `MAX_ATTEMPTS` it has failed.
 
         Raises:
             KeyboardInterrupt: Ctrl-C or SIGTERM was received.
@@ -55,7 +101,7 @@ class FlightPool:
             InputError: no process can be started.
             MemoryError: a flight had too little memory.
         """
-        pending = iter(tasks)
+        pending = _GroupedTasks(groups)
         retries: deque[FlightTask] = deque()
         attempts: Counter[int] = Counter()
         running: dict[Future[FlightResult], FlightTask] = {}
@@ -66,10 +112,11 @@ class FlightPool:
         while more or retries or running:
             capacity = self._workers.capacity()  # also notices a cluster that has gone
             while (more or retries) and len(running) < capacity and not self._stop():
-                task = retries.popleft() if retries else next(pending, None)
+                task = retries.popleft() if retries else pending.take()
                 if task is None:
                     more = False
                 elif task.scenario is None:
+                    pending.prefer_group_of(task)
                     yield FlightResult(task.number, INVALID, task.error, None)
                 else:
                     future = self._workers.submit(task)
@@ -83,6 +130,7 @@ class FlightPool:
                 self._report_compiling()
                 continue
             task = running.pop(future)
+            pending.prefer_group_of(task)
             result = self._result(future, task)
             if result is None:
                 attempts[task.number] += 1

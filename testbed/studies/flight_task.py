@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import threading
 import time
 import traceback
@@ -16,6 +17,7 @@ from testbed.metrics.document import EXCEEDED, exceedances, losses
 from testbed.metrics.expectations import bound_key, describe_violation, violations
 
 if TYPE_CHECKING:
+    from testbed.runs.repeated import RepeatedFlights
     from testbed.scenario import Scenario
 
 COMPLETED, LOST, FAILED, INVALID = "completed", "lost", "failed", "invalid"
@@ -52,6 +54,7 @@ class FlightResult:
             the scenario's `expect`, else empty.
         metrics: the document of metrics.json; None where there is none.
         wall_s: duration on the wall clock.
+        depends_on_seed: whether another seed may change the result but for its seed.
     """
 
     number: int
@@ -59,6 +62,7 @@ class FlightResult:
     error: str
     metrics: Mapping[str, Any] | None
     wall_s: float = 0.0
+    depends_on_seed: bool = True
 
 
 class WorkerPool(Protocol):
@@ -77,16 +81,25 @@ class WorkerPool(Protocol):
         """End the workers and their flights."""
 
 
+@functools.cache
+def _flights() -> RepeatedFlights:
+    """Return the flights of this process."""
+    from testbed.runs.repeated import RepeatedFlights  # in workers only: the parent flies nothing
+
+    return RepeatedFlights()
+
+
 def run_task(task: FlightTask) -> FlightResult:
     """Fly a task in this process, without files; errors become part of the result.
+
+    Tasks whose scenarios differ by the seed alone are best flown one after another.
 
     Raises:
         MemoryError: there was too little memory, which is no result of the flight.
     """
-    from testbed.runs.run import run  # in workers only: the parent process does not simulate
-
     assert task.scenario is not None
     metrics: Mapping[str, Any] | None = None
+    depends_on_seed = True
     with _ONE_FLIGHT:
         start = time.perf_counter()
         try:
@@ -95,7 +108,7 @@ def run_task(task: FlightTask) -> FlightResult:
                 return FlightResult(
                     task.number, COMPLETED, "", metrics, time.perf_counter() - start
                 )
-            metrics = run(task.scenario, write=False).metrics
+            metrics, depends_on_seed = _flights().fly(task.scenario)
             outcome = str(metrics["outcome"])
             describe = {LOST: losses, **dict.fromkeys(EXCEEDED, exceedances)}.get(outcome)
             error = f"{outcome}: {', '.join(describe(metrics))}" if describe else ""
@@ -112,4 +125,5 @@ def run_task(task: FlightTask) -> FlightResult:
             last = traceback.extract_tb(failure.__traceback__)[-1]
             where = f"{Path(last.filename).name}:{last.lineno}"
             outcome, error = FAILED, f"failed: {type(failure).__name__}: {failure} ({where})"
-    return FlightResult(task.number, outcome, error, metrics, time.perf_counter() - start)
+    wall_s = time.perf_counter() - start
+    return FlightResult(task.number, outcome, error, metrics, wall_s, depends_on_seed)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from testbed.core.errors import InputError
 from testbed.runs.bounds import bound_results
 from testbed.scenario import Scenario, find_scenario, library, load_scenario, set_seed
-from testbed.studies.flight_pool import open_flight_pool
+from testbed.studies.flight_pool import group_numbers, open_flight_pool
 from testbed.studies.flight_task import FlightTask
 from testbed.studies.golden_compare import (
     FlightProblem,
@@ -300,10 +300,14 @@ def fly_all(
     if not wanted:
         return []
     progress(0, len(wanted))
-    tasks = (FlightTask(number, set_seed(*each)) for number, each in enumerate(wanted))
+
+    def tasks(numbers: Iterable[int]) -> Iterator[FlightTask]:
+        return (FlightTask(number, set_seed(*wanted[number])) for number in numbers)
+
+    groups = group_numbers(id(scenario) for scenario, _ in wanted)
     flights: dict[int, GoldenFlight] = {}
     with open_flight_pool(jobs=min(jobs, len(wanted)), report=report) as pool:
-        for result in pool.run(tasks):
+        for result in pool.run_groups(map(tasks, groups)):
             problem = result.error if result.metrics is None else ""
             seed = wanted[result.number][1]
             flights[result.number] = GoldenFlight(seed, result.metrics, problem, result.wall_s)

@@ -60,10 +60,14 @@ class LocalWorkers:
     def submit(self, task: FlightTask) -> Future[FlightResult]:
         """Run a task in a free process, which is started if necessary.
 
+        Of several free ones it is the first that became free: the pool submits tasks in the order
+        in which others have ended, each of the group whose last flight this process may have kept.
+
         Raises:
             InputError: no process can be started.
         """
-        process = self._free.pop()
+        started = (k for k, each in enumerate(self._free) if each is not None)
+        process = self._free.pop(next(started, 0))
         try:
             with _safe_path():
                 try:

@@ -182,6 +182,11 @@ class Plan(Sequence[StudyRun]):
         """
         return set_seed(self._load_cached(run.case, run.overrides), run.seed)
 
+    def seeds_of_point(self, number: int) -> range:
+        """Return the numbers of the runs that differ from this one by their seeds, with it."""
+        first = number - number % len(self.seeds)
+        return range(first, first + len(self.seeds))
+
     def case_scenario(self, case: int) -> Scenario:
         """Return the scenario of a case without the keys that vary.
 

@@ -12,7 +12,7 @@ import re
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from testbed.metrics.document import initial_warnings
 from testbed.metrics.expectations import bound_key, violations
 from testbed.plan.world import versions
 from testbed.runs.bounds import violation_lines
-from testbed.scenario import Scenario, dump
+from testbed.scenario import Scenario, dump, set_seed
 from testbed.scenario.arguments import (
     check_calls,
     check_count,
@@ -66,7 +66,7 @@ class SweepResult:
     Args:
         study: its file.
         path: of the result file.
-        new_runs: number of runs flown by this call; the others were in the file.
+        new_runs: number of runs that this call has added; the others were in the file.
         outcomes: number of runs by outcome.
         unexpected: number of completed runs with a number outside the scenario's bounds.
     """
@@ -204,27 +204,43 @@ def _fly(
     progress: Progress,
     report: Report,
 ) -> int:
-    """Fly the missing runs, return their number; report each kind of warning and bound once."""
-    count = 0
+    """Fly the missing runs, return their number; report each kind of warning and bound once.
+
+    Where no seed changes a point, the row of its first flight is also that of its other seeds.
+    """
+    before, points, copies = len(journal), 0, 0
     kinds: set[str] = set()
     bounds: set[str] = set()
     try:
         writer.write()
         progress(len(journal), len(plan))
-        for result in pool.run(_missing_tasks(plan, journal)):
-            journal.add(_to_row(result, journal.inputs["versions"]))
-            count += 1
+        for result in pool.run_groups(_missing_points(plan, journal)):
+            if result.number in journal:  # as a copy, made while it was flown
+                continue
+            row = _to_row(result, journal.inputs["versions"])
             for text in initial_warnings(result.metrics or {}):
                 kind = re.sub(r"[\d.]+", "#", text)
                 if kind not in kinds and len(kinds) < MAX_WARNINGS:
                     report(f"warning: run {result.number}: {text}")
                 kinds.add(kind)
             bounds |= _report_bounds(plan, result, bounds, report)
-            progress(len(journal), len(plan))
-            writer.write_if_due()
+            runs = [result.number]
+            if not result.depends_on_seed:
+                others = plan.seeds_of_point(result.number)
+                runs += [k for k in others if k != result.number and k not in journal]
+            for number in runs:
+                journal.add(replace(row, run=number))
+                progress(len(journal), len(plan))
+                writer.write_if_due()
+            points, copies = points + (len(runs) > 1), copies + len(runs) - 1
+        if copies:
+            report(
+                f"no seed changes {_count(points, 'point')}: {_count(copies, 'run')} with the "
+                "numbers of a flown one"
+            )
     finally:
         writer.write()
-    return count
+    return len(journal) - before
 
 
 def _report_bounds(
@@ -240,12 +256,21 @@ def _report_bounds(
     return set(new)
 
 
-def _missing_tasks(plan: Plan, journal: Journal) -> Iterator[FlightTask]:
-    """Yield the tasks of the runs that the journal does not have."""
-    for number in range(len(plan)):
+def _missing_points(plan: Plan, journal: Journal) -> Iterator[Iterator[FlightTask]]:
+    """Yield for each point the tasks of the runs that the journal does not have."""
+    for first in range(0, len(plan), len(plan.seeds)):
+        yield _missing_tasks(plan, journal, plan.seeds_of_point(first))
+
+
+def _missing_tasks(plan: Plan, journal: Journal, runs: Iterable[int]) -> Iterator[FlightTask]:
+    """Yield the tasks of those runs of a point that the journal does not have."""
+    scenario: Scenario | None = None
+    for number in runs:
         if number not in journal:
             try:
-                yield FlightTask(number, plan.scenario(plan[number]))
+                # read once: several points are flown at the same time
+                scenario = scenario or plan.scenario(plan[number])
+                yield FlightTask(number, set_seed(scenario, plan[number].seed))
             except ScenarioError as error:
                 yield FlightTask(number, None, f"invalid: {error}")
 

@@ -27,11 +27,12 @@ from testbed.scenario import (
     library,
     load_scenario,
     middle_loop_gains,
+    set_seed,
 )
 from testbed.scenario.arguments import check_calls, check_count, check_path
 from testbed.scenario.problems import Problem, ScenarioError, did_you_mean
 from testbed.scenario.yaml_io import to_inline, walk, write
-from testbed.studies.flight_pool import FlightPool, open_flight_pool
+from testbed.studies.flight_pool import FlightPool, group_numbers, open_flight_pool
 from testbed.studies.flight_task import INVALID, FlightResult, FlightTask
 from testbed.studies.golden import Progress
 from testbed.studies.journal import flatten_metrics
@@ -182,13 +183,17 @@ class TuneProblem:
     ) -> list[FlightResult]:
         """Fly runs, or measure them, and return the results in this order."""
 
-        def tasks() -> Iterator[FlightTask]:
-            for number, (run, measure) in enumerate(works):
-                yield FlightTask(number, self._plan.scenario(run), measure=measure)
+        def tasks(numbers: Sequence[int]) -> Iterator[FlightTask]:
+            # read once: several candidates are flown at the same time
+            scenario = self._plan.scenario(works[numbers[0]][0])
+            for number in numbers:
+                run, measure = works[number]
+                yield FlightTask(number, set_seed(scenario, run.seed), measure=measure)
 
+        groups = group_numbers((run.case, run.overrides) for run, _ in works)
         results: list[FlightResult | None] = [None] * len(works)
         flights = 0
-        for result in pool.run(tasks()):
+        for result in pool.run_groups(map(tasks, groups)):
             results[result.number] = result
             flights += works[result.number][1] is None
             progress(flights, len(works))

@@ -1,7 +1,7 @@
 """A small study of unicycle vehicles, and a worker pool that flies it in this process."""
 
 from concurrent.futures import Future
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from testbed.studies.flight_task import run_task
 
@@ -35,6 +35,7 @@ class InThisProcess:
     """Worker pool that flies in this process, and records the numbers of its tasks."""
 
     finished: list[int] = field(default_factory=list)
+    every_seed: bool = False  # may change the numbers of each point
 
     def capacity(self):
         return 1
@@ -42,7 +43,8 @@ class InThisProcess:
     def submit(self, task):
         self.finished.append(task.number)
         future = Future()
-        future.set_result(run_task(task))
+        result = run_task(task)
+        future.set_result(replace(result, depends_on_seed=True) if self.every_seed else result)
         return future
 
     def lost_worker(self, error):

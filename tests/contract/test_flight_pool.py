@@ -87,6 +87,35 @@ def test_pool_killed_worker_loses_only_its_task(no_flights, tmp_path):
     assert all(has_ended(each.metrics["value"]["pid"]) for each in more)
 
 
+class TwoByTwo:
+    """Two workers whose tasks end in the order of their start."""
+
+    def __init__(self):
+        self.running, self.started = [], []
+
+    def capacity(self):
+        if len(self.running) == 2:
+            future, task = self.running.pop(0)
+            future.set_result(worker_tasks.run_task(task))
+        return 2
+
+    def submit(self, task):
+        future = Future()
+        self.started.append(task.number)
+        self.running.append((future, task))
+        return future
+
+
+def test_pool_workers_fly_groups_one_after_another():
+    """Each flies a group of its own; one without a new group helps with the last."""
+    sizes, workers = {0: 3, 10: 0, 20: 3, 30: 4}, TwoByTwo()
+    groups = [[FlightTask(k + i, ("echo", "a")) for i in range(n)] for k, n in sizes.items()]
+    flown = flight_pool.FlightPool(workers, lambda: False).run_groups(groups)
+    numbers = [next(flown).number for _ in range(9)]
+    assert workers.started == [0, 20, 1, 21, 2, 22, 30, 31, 32, 33]
+    assert numbers == workers.started[:9]
+
+
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
 def test_pool_worker_ends_with_its_parent(tmp_path, number):
     script = tmp_path / "script.py"

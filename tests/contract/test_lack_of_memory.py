@@ -107,10 +107,12 @@ def test_memory_of_a_law_is_compared_or_an_error():
     assert _pickled(lambda: 1) == b""
 
 
-def test_flight_without_memory_is_no_result_of_a_study(monkeypatch):
-    monkeypatch.setattr("testbed.runs.run.run", greedy)
+@pytest.mark.parametrize("name", ["run", "Batch"])
+def test_flight_without_memory_is_no_result_of_a_study(name, monkeypatch):
+    monkeypatch.setattr(f"testbed.runs.repeated.{name}", greedy)
+    scenario = SHORT if name == "run" else set_duration(load_scenario("simulation-3"), 1)
     with pytest.raises(MemoryError):
-        run_task(FlightTask(0, SHORT))
+        run_task(FlightTask(0, scenario))
     future = Future()
     future.set_exception(MemoryError())
     pool = FlightPool(SimpleNamespace(lost_worker=lambda error: False), None)

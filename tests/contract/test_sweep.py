@@ -9,6 +9,7 @@ import shlex
 import signal
 import subprocess
 import sys
+import time
 
 import pytest
 import small_study
@@ -17,6 +18,7 @@ from rich.console import Console
 from snapshot import check_snapshot
 from waiting import TIMEOUT_S, until
 
+from testbed.cli.progress import progress_counter
 from testbed.cli.sweep import summary_tables
 from testbed.core.errors import InputError
 from testbed.studies.journal import Journal, flatten_metrics
@@ -137,7 +139,7 @@ def test_sweep_interrupted_is_resumed_to_the_bit(folder, workers, tmp_path):
     workers.finished.clear()
     result = sweep("small.yaml", out, resume=True)
     assert result.new_runs == small_study.RUNS - 3
-    assert workers.finished == list(range(3, small_study.RUNS))
+    assert workers.finished == [3, 4, 6, 7]  # without loss a point is flown once
     assert same(folder, out)
     assert [path.name for path in tmp_path.iterdir()] == ["study.parquet"]
     assert sweep("small.yaml", out, resume=True).new_runs == 0
@@ -161,6 +163,31 @@ def test_sweep_file_is_readable_during_the_study(workers, tmp_path, monkeypatch)
 
     sweep("small.yaml", out, refresh_s=0.0, progress=progress)
     assert seen == [(0, 0), *((done, done - 1) for done in range(1, small_study.RUNS + 1))]
+
+
+def test_sweep_flies_a_point_no_seed_changes_once(folder, workers, tmp_path, monkeypatch):
+    """The file is that of a study that flies every seed, as a noisy point is flown."""
+    lines = []
+    sweep("small.yaml", tmp_path / "once.parquet", report=lines.append)
+    assert workers.finished == [0, 2, 3, 4, 6, 7]
+    assert lines[-1] == "no seed changes 2 points: 2 runs with the numbers of a flown one"
+    workers.finished.clear()
+    every = small_study.InThisProcess(every_seed=True)
+    monkeypatch.setattr("testbed.studies.flight_pool._open_workers", lambda *_: every)
+    sweep("small.yaml", tmp_path / "every.parquet", report=lines.append)
+    assert every.finished == list(range(small_study.RUNS)) and "no seed" not in lines[-1]
+    for name in ("once", "every"):
+        assert same(folder, tmp_path / f"{name}.parquet")
+
+
+def test_sweep_interrupted_between_copies_is_resumed(folder, workers, tmp_path):
+    """After the flight of a point, before the row of its other seed."""
+    out = tmp_path / "study.parquet"
+    interrupt(out, 1)
+    assert workers.finished == [0]
+    assert sweep("small.yaml", out, resume=True).new_runs == small_study.RUNS - 1
+    assert workers.finished == [0, 1, 2, 3, 4, 6, 7]
+    assert same(folder, out)
 
 
 @pytest.mark.parametrize(
@@ -364,6 +391,18 @@ def test_sweep_table_fits_the_terminal(width, keys, metrics):
         for part in re.findall("[^._]+[._]?", name):
             assert re.search(rf"(?<![a-z]){re.escape(part)}", text), part
     assert text.count("3.21 to 123") == metrics and "19 of 20" in text
+
+
+def test_progress_shows_flights_per_second(monkeypatch, capsys):
+    monkeypatch.setenv("FORCE_COLOR", "1")  # as on a terminal
+    for rate in ("flights", ""):
+        with progress_counter("runs", rate=rate) as update:
+            for done in range(5):
+                time.sleep(0.01)
+                update(done, 9)
+        shown = re.sub(r"\x1b\[[\d;?]*\w", "", capsys.readouterr().err)
+        assert "4 of 9" in shown
+        assert bool(re.search(r" \d+(\.\d+)? flights/s", shown)) == bool(rate), shown
 
 
 def test_sweep_bad_input_exits_2_and_writes_nothing(tmp_path):

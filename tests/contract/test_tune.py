@@ -4,6 +4,7 @@ import csv
 import json
 from contextlib import contextmanager
 from dataclasses import replace
+from itertools import chain
 
 import pytest
 from commands import call_command
@@ -64,7 +65,8 @@ def fly_with(monkeypatch):
         done = []
 
         class Pool:
-            def run(self, tasks):
+            def run_groups(self, groups):
+                tasks = chain.from_iterable(groups)
                 for task in reversed(list(tasks)) if reverse else tasks:
                     if stop_after is not None and len(done) >= stop_after:
                         raise KeyboardInterrupt
