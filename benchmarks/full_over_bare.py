@@ -1,10 +1,10 @@
 """Measure the cost of a whole run relative to bare JSBSim steps.
 
-Both are measured in one process, alternating, on the same aircraft files at the same rate, for the
-same number of steps in the same order. Bare: the same aircraft in trim with constant controls, and
-nothing but `run()`; it restarts every minute of flight, so that no aircraft reaches the ground.
-Full: `testbed.run` with the log and without a viewer. Building the simulation is measured
-separately.
+Both are measured in one process, alternating, on the same aircraft files. Bare: the same aircraft
+in trim with constant controls, and nothing but `run()` at 200 Hz with JSBSim's default integrators,
+in the order of a flight; it restarts every minute of flight, so that no aircraft reaches the
+ground. Full: `testbed.run` with the log and without a viewer, at the scenario's rate and at 200 Hz.
+Building the simulation is measured separately.
 """
 
 from __future__ import annotations
@@ -26,9 +26,8 @@ from testbed.runs.run import run
 from testbed.scenario import Scenario, with_values
 from testbed.vehicle.environment import EULER
 from testbed.vehicle.fleet import JsbsimFleet
-from testbed.vehicle.workers import default_processes
 
-SEGMENT_S = 60.0
+SEGMENT_S, BARE_HZ = 60.0, 200
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,35 +75,36 @@ class Stopwatch(Observer):
         self.cost = since(self._began)
 
 
-def bare(scenario: Scenario, seconds: float, *, with_io: bool = False) -> Cost:
+def at_rate(scenario: Scenario, rate_hz: int, *, log: bool = True) -> Scenario:
+    """Return the scenario with another rate of the flight models, and with or without a log."""
+    changes = [(("rates", "physics_hz"), rate_hz), (("log", "mcap"), log)]
+    return with_values(scenario, changes)
+
+
+def bare(scenario: Scenario, seconds: float) -> Cost:
     """Measure the flight models' steps alone.
 
     Args:
         scenario: scenario with the aircraft.
         seconds: duration of the flight, s.
-        with_io: also write trimmed controls and read motions at the autopilot rate: the smallest
-            cost of any loop around these models.
     """
-    rate, spent = scenario.rates.physics_hz, Cost(0.0, 0.0)
-    steps_per_period = (
-        rate // scenario.rates.autopilot_hz
-    )  # of one aircraft before the next, as in a run
+    spent, changes = Cost(0.0, 0.0), [(("scenario", "engine"), "jsbsim")]
+    scenario = with_values(at_rate(scenario, BARE_HZ), changes)
+    # of one aircraft before the next, as in a run
+    steps_per_period = BARE_HZ // scenario.rates.autopilot_hz
     rounds = round(seconds * scenario.rates.autopilot_hz)
     most = round(SEGMENT_S * scenario.rates.autopilot_hz)
     while rounds > 0:
-        fleet = build(with_values(scenario, [(("scenario", "engine"), "jsbsim")])).fleet
+        fleet = build(scenario).fleet
         if not isinstance(fleet, JsbsimFleet):
             raise SystemExit(f"{scenario.name}: has no flight model")
-        runs, steps, trimmed = fleet.bare_runs(), range(steps_per_period), fleet.trimmed
+        runs, steps = fleet.bare_runs(), range(steps_per_period)
         for step in runs:
             for state in ("rate", "position"):  # JSBSim's defaults, which cost least
                 step.__self__[f"simulation/integrator/{state}/rotational"] = EULER
         gc.collect()
         began = now()
         for _ in range(min(rounds, most)):
-            if with_io:
-                fleet.step(trimmed, steps_per_period)  # it reads the motions too
-                continue
             for step in runs:
                 for _ in steps:
                     step()
@@ -113,14 +113,14 @@ def bare(scenario: Scenario, seconds: float, *, with_io: bool = False) -> Cost:
     return spent
 
 
-def full(scenario: Scenario, *watching: Observer, processes: int = 1) -> tuple[Cost, float]:
+def full(scenario: Scenario, *watching: Observer) -> tuple[Cost, float]:
     """Measure a flight, and the wall-clock seconds of building and closing, s."""
     watch = Stopwatch()
     with tempfile.TemporaryDirectory() as folder:
         gc.collect()
         began = now()
         out, watchers = Path(folder) / "run", [watch, *watching]
-        flown = run(scenario, out=out, observers=watchers, processes=processes)
+        flown = run(scenario, out=out, observers=watchers)
         whole = since(began)
     if flown.outcome != "completed":
         raise SystemExit(f"{scenario.name}: {flown.outcome}: a lost aircraft costs nothing")
@@ -129,14 +129,14 @@ def full(scenario: Scenario, *watching: Observer, processes: int = 1) -> tuple[C
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """A flight and a timed flight between two halves of the bare loop, against drift."""
+    """Flights, one of them timed, between two halves of the bare loop, against drift."""
 
     bare: Cost
     full: Cost
+    at_bare_hz: Cost  # the flight at the rate of the bare loop
+    no_log: Cost  # the same without a log
     timed: Cost
     build_s: float
-    bare_with_io: Cost  # the bare loop with controls written and motions read
-    parallel: Cost | None  # stepped by several processes; None where one is best
 
     @property
     def ratio(self) -> Cost:
@@ -145,15 +145,15 @@ class Turn:
 
 
 def turn(scenario: Scenario, timer: PartTimer) -> Turn:
-    """Measure one turn; the second flight is timed by part."""
-    half, processes = scenario.scenario.duration_s / 2.0, default_processes(flight_models(scenario))
+    """Measure one turn; the last flight is timed by part."""
+    half = scenario.scenario.duration_s / 2.0
     before = bare(scenario, half)
     cost, built = full(scenario)
+    at_bare_hz, _ = full(at_rate(scenario, BARE_HZ))
+    no_log, _ = full(at_rate(scenario, BARE_HZ, log=False))
     with timer.timing():
         timed, _ = full(scenario, timer)
-    parallel = full(scenario, processes=processes)[0] if processes > 1 else None
-    with_io = bare(scenario, 2.0 * half, with_io=True)
-    return Turn(before + bare(scenario, half), cost, timed, built, with_io, parallel)
+    return Turn(before + bare(scenario, half), cost, at_bare_hz, no_log, timed, built)
 
 
 def flight_models(scenario: Scenario) -> int:

@@ -25,7 +25,6 @@ from speed_tables import ALL_EFFECTS, FIGURE, MARK, SIMULATION, TARGETS, machine
 from tables import insert
 
 from testbed.scenario import Scenario, load_scenario, set_duration
-from testbed.vehicle.workers import default_processes
 from testbed.views.matplotlib_backend import save_figure
 
 WARM_UP_S = 2.0
@@ -62,35 +61,22 @@ def numbers(
 ) -> dict[str, Any]:
     """Return the numbers of a scenario's turns and each part's time, ready for JSON."""
     flown, bare = (median([getattr(each, of) for each in turns]) for of in ("full", "bare"))
-    ratio = median([each.ratio for each in turns])
     seconds, aircraft = scenario.scenario.duration_s, flight_models(scenario)
     each_us = 1e6 / (seconds * aircraft)
-    with_io = [each.bare_with_io.processor_s / each.bare.processor_s for each in turns]
     result: dict[str, Any] = {"aircraft": aircraft, "simulated_s": seconds, "turns": len(turns)}
+    ratios = {
+        "full_over_bare": [each.full / each.bare for each in turns],
+        "at_bare_hz": [each.at_bare_hz / each.bare for each in turns],
+        "no_log": [each.no_log / each.bare for each in turns],
+    }
     for kind, key in (("wall_s", ""), ("processor_s", "_processor")):
-        ratios = [getattr(one.ratio, kind) for one in turns]
-        result["full_over_bare" + key] = getattr(ratio, kind)
-        result[f"full_over_bare{key}_spread"] = [min(ratios), max(ratios)]
-    # other programs on the machine only add time
-    least = [min(getattr(each, of).wall_s for each in turns) for of in ("full", "bare")]
-    result["least_full_over_least_bare"] = least[0] / least[1]
-    if turns[0].parallel:
-        costs = [one.parallel for one in turns if one.parallel]
-        parallel, shares_of_bare = (
-            median(costs),
-            [one.wall_s / each.bare.wall_s for one, each in zip(costs, turns, strict=True)],
-        )
-        result["parallel"] = {
-            "processes": default_processes(aircraft),
-            "full_over_bare": statistics.median(shares_of_bare),
-            "full_over_bare_spread": [min(shares_of_bare), max(shares_of_bare)],
-            "real_time_factor": seconds / parallel.wall_s,
-            "us_per_aircraft_second": parallel.wall_s * each_us,
-        }
+        for name, costs in ratios.items():
+            values = [getattr(each, kind) for each in costs]
+            result[name + key] = statistics.median(values)
+            result[f"{name}{key}_spread"] = [min(values), max(values)]
     return result | {
         "real_time_factor": seconds / flown.wall_s,
         "bare_real_time_factor": seconds / bare.wall_s,
-        "io_over_bare_processor": statistics.median(with_io),
         "build_s": sorted(one.build_s for one in turns)[len(turns) // 2],
         "wall_us_per_aircraft_second": flown.wall_s * each_us,
         "us_per_aircraft_second": {
