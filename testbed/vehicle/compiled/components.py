@@ -151,9 +151,13 @@ _SIGNS = {
 
 
 def _switch(node: XmlNode, source: StepSource) -> str:
-    """Return the value of the first test that is true."""
-    default = node.child("default").attributes.get("value") or node.fail("has no default value")
-    value = _text_value(default, node, source)
+    """Return the value of the first test that is true, or else the default, or 0."""
+    default = node.find("default")
+    if default is None:
+        value = "0.0"
+    else:
+        text = default.attributes.get("value") or default.fail("has no value")
+        value = _text_value(text, default, source)
     for test in reversed(node.all("test")):
         chosen = test.attributes.get("value") or test.fail("has no value")
         value = f"({_text_value(chosen, test, source)} if {_condition(test, source)} else {value})"
