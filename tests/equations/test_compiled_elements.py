@@ -50,6 +50,16 @@ REFUSED = {
         channel({"summer": "<input> simulation/sim-time-sec </input>"}),
         "<input> reads simulation/sim-time-sec",
     ),
+    "shared": (
+        CHANNEL,
+        channel(
+            {
+                "lag_filter": f"{STICK}<c1> 9 </c1>",
+                "summer": f"{STICK}<output> fcs/made-lag_filter </output>",
+            }
+        ),
+        "<lag_filter> has the output fcs/made-lag_filter, which another component writes",
+    ),
     "execrate": (CHANNEL, channel({}).replace("name=", 'execrate="2" name='), "execrate"),
     "frame": ('<axis name="ROLL">', '<axis name="ROLL" frame="STABILITY">', "frame"),
     "pitch": (

@@ -60,6 +60,7 @@ class StepSource:
     Attributes:
         helpers: functions that the step calls.
         recalled: the aircraft's own columns that JSBSim has no property for.
+        shared: properties that more than one component writes.
     """
 
     def __init__(self, constant: Callable[[str], float | None]) -> None:
@@ -81,6 +82,7 @@ class StepSource:
         self._count = 0
         self.helpers: list[str] = []
         self.recalled: dict[str, Recalled] = {}
+        self.shared: set[str] = set()
 
     # properties
 

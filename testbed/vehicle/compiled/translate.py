@@ -265,11 +265,15 @@ class _Translator:
             outputs_of = ("propeller-rpm", *ENGINE_OUTPUTS)
             source.declare_frame(*(engine_property(number, each) for each in outputs_of))
             source.declare(throttle_property(number))
+        written = set[str]()
         for system in self._ordered_systems():
             for node in system.all("property"):
                 source.declare(node.word)
             for each in self._components(system):
-                source.declare(*outputs(each))
+                names = set(outputs(each))
+                source.shared |= written & names
+                written |= names
+        source.declare(*written)
         for node in root.child("aerodynamics").walk():
             if node.tag == "function" and node.attributes.get("name"):
                 source.declare(node.attributes["name"])
