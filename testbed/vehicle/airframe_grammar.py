@@ -162,7 +162,7 @@ _ROWS = {
         f"feed thruster location orient {ENGINES} {_TEXT}",
         folders=_PROPULSION,
         kinds=ENGINES,
-        not_translated="location orient",
+        not_translated="",
     ),
     "thruster": Element(
         f"location orient sense p_factor {THRUSTERS} {_TEXT}",
@@ -224,8 +224,7 @@ _ROWS = {
         "ixx diameter numblades gearratio minpitch maxpitch minrpm maxrpm constspeed reversepitch "
         f"ct_factor cp_factor p_factor sense table {_MODEL}",
         "version",
-        not_translated="minpitch maxpitch minrpm maxrpm constspeed reversepitch p_factor sense "
-        "property function",
+        not_translated="constspeed reversepitch sense property function",
     ),
     "diameter numblades gearratio": Element(text=Text.POSITIVE, not_translated=""),
     "nozzle": Element(f"area diam expr nzl_eff pe {_MODEL}"),
@@ -252,7 +251,7 @@ _ROWS = {
     "delay": Element(attributes="type", text=Text.VALUE),
     "clipto": Element(f"min:limit max:limit {_TEXT}", "type", not_translated=""),
     "domain range": Element(f"min:limit max:limit {_TEXT}", not_translated=""),
-    "alphalimits hysteresis_limits": Element(f"min:limit max:limit {_TEXT}"),
+    "alphalimits hysteresis_limits": Element(f"min:limit max:limit {_TEXT}", not_translated=""),
     _FILTERS: Element(
         f"c1 c2 c3 c4 c5 c6 trigger {_COMPONENT}",
         "type",
@@ -312,8 +311,7 @@ _ROWS = {
         "axis alphalimits hysteresis_limits aero_ref_pt_shift_x aero_ref_pt_shift_y "
         f"aero_ref_pt_shift_z {_MODEL}",
         folders=_HERE,
-        not_translated="alphalimits hysteresis_limits aero_ref_pt_shift_x aero_ref_pt_shift_y "
-        "aero_ref_pt_shift_z",
+        not_translated="aero_ref_pt_shift_x aero_ref_pt_shift_y aero_ref_pt_shift_z",
     ),
     "axis": Element(f"function {_TEXT}", "frame", not_translated="frame unit"),
     "aero_ref_pt_shift_x aero_ref_pt_shift_y aero_ref_pt_shift_z": Element(f"function {_TEXT}"),

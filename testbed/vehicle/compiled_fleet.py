@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -24,7 +23,6 @@ from testbed.vehicle.jsbsim_io import BATTERY_PROPERTIES, CONTROLS, lead_control
 from testbed.vehicle.trim import InitialState, TrimResult
 
 _LEFT = 255  # status of a row that is not advanced any more
-_NO_CLEARANCE = -math.inf  # aircraft are lost before they touch the ground: `lowest_height`
 _INITIAL_CHARGE, _CHARGE = "battery/initial-state-of-charge", BATTERY_PROPERTIES[0]
 
 
@@ -64,7 +62,7 @@ def _example(aircraft: CompiledAircraft) -> tuple[object, ...]:
     """Return arguments of `run_rows`, for their types."""
     numbers = (np.zeros((1, width)) for width in (len(aircraft.columns), 7, 4, 4))
     one = np.zeros(1, dtype=np.intp)
-    rest = 0.1, one, _NO_CLEARANCE, one, np.zeros(1, dtype=np.uint8)
+    rest = 0.1, one, one, np.zeros(1, dtype=np.uint8)
     return *numbers, np.zeros(2, dtype=bool), *rest
 
 
@@ -172,7 +170,7 @@ class CompiledFleet(FlightModels):
     def _run_arguments(self, kind: _Kind, which: Indices, steps: Indices) -> tuple[Any, ...]:
         """Return the arguments of `run_rows` for some aircraft (K,) of a kind."""
         inputs = self._wind_numbers, self._controls, self._first_controls, self._changed
-        return (kind.state, *inputs, self._dt, steps, _NO_CLEARANCE, which, self._status)
+        return (kind.state, *inputs, self._dt, steps, which, self._status)
 
     def move_steps(self, move: Move) -> tuple[Step, ...]:
         """See `FlightModels`."""

@@ -56,6 +56,7 @@ class Placing:
     angles: Vector  # roll, pitch and yaw of which JSBSim makes the attitude, rad
     recent: tuple[dict[str, float], ...]  # watched properties before it, the newest first
     after: dict[str, float]  # and after it
+    terrain: float  # elevation, ft
 
     @property
     def before(self) -> dict[str, float]:
@@ -113,6 +114,7 @@ class JsbsimModel:
         ]
         self._angles = [self.node(f"ic/{name}-rad").get_double_value for name in ("phi", "theta")]
         self.placing: Placing | None = None
+        self._terrain = 0.0  # ft
         self._watched: dict[str, Callable[[], float]] = {}
         self._recent: deque[dict[str, float]] = deque(maxlen=0)
         self._speeds = [self.node(f"ic/{name}-fps").set_double_value for name in "uvw"]
@@ -218,7 +220,8 @@ class JsbsimModel:
     def locate(self, position_ned: Vector, origin: NedOrigin) -> None:
         """Set the position of the aircraft, from the next placement on."""
         latitude, longitude, height = geodetic_from_ned(np.array(position_ned), origin).tolist()
-        self.node("ic/terrain-elevation-ft").set_double_value(origin.elevation_m / FOOT)
+        self._terrain = origin.elevation_m / FOOT
+        self.node("ic/terrain-elevation-ft").set_double_value(self._terrain)
         self.node("ic/long-gc-deg").set_double_value(longitude)
         self.node("ic/lat-geod-deg").set_double_value(latitude)
         above_sea, geodetic = self.node("ic/h-sl-ft"), self.node("ic/geod-alt-ft")
@@ -370,7 +373,7 @@ class JsbsimModel:
             set_value(value)
         self.fdm.run_ic()
         if self._watched:
-            self.placing = Placing((roll, pitch, angles[2]), recent, self._look())
+            self.placing = Placing((roll, pitch, angles[2]), recent, self._look(), self._terrain)
             self._recent.clear()
 
 

@@ -53,6 +53,23 @@ def test_engines_fly_the_same_numbers(name):
     assert_equal(flown["compiled"], flown["jsbsim"])
 
 
+def test_engines_agree_above_the_tropopause():
+    changes = (
+        "scenario.origin.elevation_m=9000",
+        "leader.start.altitude_m=2100",
+        "leader.path.airspeed_mps=30",
+        "leader.path.legs=[{kind: waypoints, points_m: [[3000, 0, 2100], [6000, 0, 2100]]}]",
+    )
+    flown = []
+    for engine in ("compiled", "jsbsim"):
+        collector = Collector()
+        scenario = load_scenario("simulation-1", [f"scenario.engine={engine}", *changes])
+        run = testbed.run(set_duration(scenario, 4.0), write=False, observers=[collector])
+        assert (run.metrics["engine"], run.outcome) == (engine, "completed")
+        flown.append(collector.frames)
+    assert_equal(*flown)
+
+
 def test_last_bit_of_a_mass_is_seen():
     """A negative control of the test above."""
     flown = []

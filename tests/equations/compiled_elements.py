@@ -83,6 +83,9 @@ PROPERTIES = (
     *(f"aero/{each}" for each in ("alpha-deg", "beta-deg", "mag-beta-rad", "betadot-rad_sec")),
     *(f"aero/{each}" for each in ("qbarUW-psf", "qbarUV-psf", "alphadot-deg_sec")),
     *(f"propulsion/engine/{each}" for each in ("thrust-lbs", "advance-ratio")),
+    *("propulsion/engine/prop-induced-velocity_fps", "aero/stall-hyst-norm"),
+    *("position/h-agl-ft", "aero/h_b-cg-ft", "aero/h_b-mac-ft"),
+    *("gear/gear-cmd-norm", "gear/gear-pos-norm", "gear/unit[1]/WOW"),
     *("flight-path/gamma-rad", "accelerations/udot-ft_sec2", "accelerations/qidot-rad_sec2"),
 )
 STICK = "<input> fcs/aileron-cmd-norm </input>"
@@ -106,6 +109,9 @@ COMPONENTS = {
     "velocities/vt-fps GE 60 </test></test>",
     "fcs_function": f"<function>{TENFOLD}</function>"
     '<clipto type="cyclic"> <min> -1.5 </min> <max> 2 </max> </clipto>',
+    "switch-bare": '<test value="fcs/elevator-cmd-norm">\nfcs/aileron-cmd-norm gt 0.1 </test>',
+    "summer-late": "<input> aero/h_b-mac-ft </input><input> position/h-agl-ft </input>"
+    "<input> propulsion/engine/prop-induced-velocity_fps </input>",
     "pure_gain-flap": f"{STICK}<gain> 15 </gain><output> fcs/flap-pos-deg </output>",
     "summer-aliases": "<input> fcs/flap-pos-rad </input><input> fcs/elevator-pos-deg </input>"
     "<input> fcs/mag-elevator-pos-rad </input><input> fcs/pitch-trim-cmd-norm </input>"
@@ -123,6 +129,10 @@ FILTERS = {
     "<setting> <position> -10 </position> <time> 0 </time> </setting>"
     "<setting> <position> 0 </position> <time> 0.2 </time> </setting>"
     "<setting> <position> 15 </position> <time> 0.5 </time> </setting></traverse>",
+    "kinematic-gear": "<input> gear/gear-cmd-norm </input><traverse>"
+    "<setting> <position> 0 </position> <time> 0 </time> </setting>"
+    "<setting> <position> 1 </position> <time> 5 </time> </setting></traverse>"
+    "<output> gear/gear-pos-norm </output>",
     "actuator-lag": f"{STICK}<lag> 20 </lag><rate_limit> 1.5 </rate_limit>{LIMITS}",
     "actuator-rate": f'{LATE}<rate_limit sense="incr"> 1.5 </rate_limit>'
     '<rate_limit sense="decr"> 0.7 </rate_limit>',
@@ -149,6 +159,31 @@ def axes(*names):
     return [(f'<axis name="{one}">', f'<axis name="{other}">') for one, other in others]
 
 
+def orient(roll, pitch, yaw):
+    return f"""<orient unit="DEG"> <roll> {roll} </roll> <pitch> {pitch} </pitch>
+<yaw> {yaw} </yaw> </orient>"""
+
+
+FORWARD = '<orient unit="DEG"> <roll> 0 </roll> <pitch> 0 </pitch> <yaw> 0 </yaw> </orient>'
+ELSEWHERE = '<location unit="IN"> <x> 7 </x> <y> 5 </y> <z> 3 </z> </location>'
+BLADES = "<numblades> 2 </numblades>"
+FIXED = """<minpitch> 30 </minpitch> <maxpitch> 30 </maxpitch>
+<minrpm> 900 </minrpm> <maxrpm> 3000 </maxrpm> <p_factor> 5 </p_factor>"""
+INCLINED = [
+    (FORWARD, orient(10, -5, 7)),
+    ("<x> 1 </x> <y> 0 </y> <z> 0 </z>", "<x> 1 </x> <y> 3 </y> <z> 0 </z>"),
+    ("<feed> 0 </feed>", f"<feed> 0 </feed> {ELSEWHERE} {orient(3, 4, 5)}"),
+    (BLADES, f"{BLADES} {FIXED}"),
+]
+STALL = """<alphalimits unit="DEG"> <min> -6 </min> <max> 9 </max> </alphalimits>
+<hysteresis_limits unit="RAD"> <min> 0.1 </min> <max> 0.3 </max> </hysteresis_limits>"""
+SLOPE = """<table><independentVar> velocities/vt-fps </independentVar><tableData>
+30 1.2
+60 0.7 </tableData></table>"""
+# A system is the first to use names.
+TABLES_FIRST = f"""<system name="made"><channel name="made"><fcs_function name="made/tables">
+<function><sum>{SLOPE}{SLOPE}{FUNCTIONS["table-2"]}</sum></function>
+</fcs_function></channel></system>"""
 POINT_MASS = """<pointmass name="payload"> <weight unit="LBS"> 2 </weight>
 <location unit="IN"> <x> 40 </x> <y> 3 </y> <z> 1 </z> </location> </pointmass></mass_balance>"""
 # JSBSim runs all systems before all autopilots, and these before the flight control.
@@ -170,6 +205,13 @@ MADE = {
         ('<iyz unit="SLUG*FT2"> 0 </iyz>', '<iyz unit="SLUG*FT2"> 0.07 </iyz>'),
         ("</mass_balance>", POINT_MASS),
     ],
+    "inclined_thruster": INCLINED,
+    "inclined_thruster_with_p_factor": [
+        *INCLINED,
+        ("<sense> 1 </sense>", "<sense> -1 </sense><p_factor> 5 </p_factor>"),
+    ],
+    "stall_limits": [('<axis name="DRAG">', f'{STALL}<axis name="DRAG">')],
+    "tables_first": [("</flight_control>", f"</flight_control>{TABLES_FIRST}")],
     "order_of_systems": [("</flight_control>", SYSTEMS)],
     "lift_squared": [
         ("<value> 0.04 </value>", f"<value> 0.04 </value>{read('aero/cl-squared')}"),
@@ -199,15 +241,16 @@ FAULTS = {
 
 
 def make(folder, name, changes, base="rascal110"):
-    """Copy an aircraft with changes of its main file."""
+    """Copy an aircraft with changes of its files, each of a text that occurs once."""
     made = folder / name
     shutil.copytree(AIRCRAFT / base, made)
-    text = (made / f"{base}.xml").read_text()
-    (made / f"{base}.xml").unlink()
+    (made / f"{base}.xml").rename(made / f"{name}.xml")
+    files = list(made.rglob("*.xml"))
     for old, new in changes:
+        (file,) = (each for each in files if old in each.read_text())
+        text = file.read_text()
         assert text.count(old) == 1, old
-        text = text.replace(old, new)
-    (made / f"{name}.xml").write_text(text)
+        file.write_text(text.replace(old, new))
     return made
 
 

@@ -7,16 +7,19 @@ import numpy as np
 import pytest
 from compiled_elements import ALL, make, unequal
 
-from testbed.vehicle.compiled import CompiledAircraft, limits
+from testbed.core.records import NedOrigin
+from testbed.vehicle.compiled import CompiledAircraft, NotTranslated, limits
 from testbed.vehicle.compiled.proof import Comparison, compare
 from testbed.vehicle.compiled.rows import write_air
 from testbed.vehicle.environment import INTEGRATORS, JSBSIM_DEFAULT_INTEGRATORS
 from testbed.vehicle.jsbsim_adapter import load
 from testbed.vehicle.jsbsim_io import AIR_PROPERTIES, BATTERY_PROPERTIES
+from testbed.vehicle.trim import Controls, Placement
 
 AIRCRAFT = Path(__file__).parents[2] / "aircraft"
 STATES = int(os.environ.get("TESTBED_STATES", "50"))
 RATE_HZ = 200
+TROPOPAUSE_FT = 11_000 / 0.3048
 CASES = [
     ("rascal110", INTEGRATORS),
     ("rascal110", JSBSIM_DEFAULT_INTEGRATORS),
@@ -70,7 +73,6 @@ def test_rows_run_with_inputs_like_a_fleet():
         changed,
         1.0 / RATE_HZ,
         np.array([4]),
-        found.clearance,
         which,
         status,
     )
@@ -91,20 +93,41 @@ def test_rows_run_with_inputs_like_a_fleet():
     assert air[0].tolist() == [model.node(each).get_double_value() for each in names]
 
 
+def test_air_above_the_tropopause_equals_jsbsim():
+    comparison, heights = Comparison(compiled("rascal110"), RATE_HZ), []
+    for _ in range(10):
+        comparison.place(spin=True, high=True)
+        comparison.run(2)
+        heights.append(comparison.model.node("position/geod-alt-ft").get_double_value())
+    assert comparison.unequal == ""
+    assert min(heights) < TROPOPAUSE_FT < max(heights)
+
+
+def test_start_above_the_atmosphere_is_refused():
+    """JSBSim flies it, and the reason is in words."""
+    found = compiled("rascal110")
+    model = load(found.folder, RATE_HZ)
+    found.watch(model)
+    model.locate((0.0, 0.0, -21_000.0), NedOrigin())
+    level = Placement((60.0, 0.0, 1.0), (0.0, 0.0, 0.0), 0.0, 0.0, 0.0)
+    model.place(level, Controls(0.0, 0.0, 0.0, 1.0), spin=True)
+    with pytest.raises(NotTranslated, match="starts above 20 km.*flown by JSBSim"):
+        found.row_of(model)
+
+
 def test_rows_end_where_the_model_ends():
     found = compiled("rascal110")
     comparison = Comparison(found, RATE_HZ)
     comparison.place(spin=True, calm=True)
-    state = np.tile(comparison.row, (4, 1))
-    state[1, found.columns["ic/terrain-elevation-ft"]] = 1e5
-    state[2, [found.columns[f"position/eci-{axis}-ft"] for axis in "xyz"]] *= 1.002
-    wind, status = np.zeros((4, 7)), np.zeros(4, dtype=np.uint8)
-    wind[3, 0] = np.nan
-    args = state, wind, np.zeros((4, 4)), np.zeros((4, 4)), np.array([True, False])
+    state = np.tile(comparison.row, (3, 1))
+    state[1, [found.columns[f"position/eci-{axis}-ft"] for axis in "xyz"]] *= 1.004
+    wind, status = np.zeros((3, 7)), np.zeros(3, dtype=np.uint8)
+    wind[2, 0] = np.nan
+    args = state, wind, np.zeros((3, 4)), np.zeros((3, 4)), np.array([True, False])
     for _ in range(2):
         before = state.copy()
-        found.run_rows(*args, 1.0 / RATE_HZ, np.array([4]), found.clearance, np.arange(4), status)
-    expected = [limits.FLYING, limits.NEAR_GROUND, limits.ABOVE_TROPOPAUSE, limits.IMPLAUSIBLE]
+        found.run_rows(*args, 1.0 / RATE_HZ, np.array([4]), np.arange(3), status)
+    expected = [limits.FLYING, limits.ABOVE_ATMOSPHERE, limits.IMPLAUSIBLE]
     assert status.tolist() == expected
     assert (state[0] != before[0]).any()
     assert np.array_equal(state[1:], before[1:], equal_nan=True)

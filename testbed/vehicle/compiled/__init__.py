@@ -16,7 +16,7 @@ JSBSim loads, trims and places the aircraft:
 
 `aircraft.run_rows` is an entry, for `bind_entry` or `Call`:
 
-    run_rows(state, wind, controls, first, changed, dt, ticks, clearance, which, status)
+    run_rows(state, wind, controls, first, changed, dt, ticks, which, status)
 
     state      (M, S) float64, read and written
     wind       (M, 7) numbers of `jsbsim_io.pack_wind`: ft/s, rad/s, change of the roll coefficient
@@ -26,12 +26,12 @@ JSBSim loads, trims and places the aircraft:
                rows; those that have not changed are in the rows
     dt         s, one step
     ticks      (1,) steps, intp
-    clearance  ft above the terrain, `aircraft.clearance`
     which      (K,) of the M rows, intp
     status     (M,) uint8, `limits`: 0 flying. A row that leaves what the model describes gets its
                code at the end of that step, and is not advanced any more. JSBSim itself goes on,
-               with the ground's forces, in the layers above, or with numbers beyond all measure
-               that end as NaN; a flight loses such an aircraft at its next tick.
+               in the layers above, or with numbers beyond all measure that end as NaN; a flight
+               loses such an aircraft at its next tick. The ground's forces are not in the model:
+               a flight loses an aircraft before a part of it touches the ground.
 
 `rows.write_motion(state, which, numbers)` and
 `rows.write_air(state, which, aircraft.air_columns, numbers)` are entries that write what

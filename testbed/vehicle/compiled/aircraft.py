@@ -12,8 +12,9 @@ import numpy as np
 from testbed.core.compile import entry_of_source
 from testbed.core.records import Array
 from testbed.vehicle.compiled.columns import COLUMN, FRAME, START, WIND
-from testbed.vehicle.compiled.elements import NotTranslated, XmlNode, read_aircraft
+from testbed.vehicle.compiled.elements import NotTranslated
 from testbed.vehicle.compiled.frame import attitude_rate
+from testbed.vehicle.compiled.limits import ABOVE_ATMOSPHERE
 from testbed.vehicle.compiled.rows import write_attitude
 from testbed.vehicle.compiled.source import Recalled
 from testbed.vehicle.compiled.translate import translate
@@ -21,11 +22,7 @@ from testbed.vehicle.environment import INTEGRATORS, Integrators
 from testbed.vehicle.jsbsim_io import AIR_PROPERTIES, BATTERY_PROPERTIES
 from testbed.vehicle.jsbsim_model import INTEGRATOR_STEPS, NO_TIME, JsbsimModel, Placing
 
-_INCH = 1.0 / 12.0
 _FRAMES = 3  # before an initial condition, that determine the states of components
-# ft, as heights along the radius differ from those above the ellipsoid, and tanks move the centre
-# of gravity
-_MARGIN = 0.2
 # of the frame: what the files may read before a frame writes it
 _CARRIED = [
     column
@@ -46,9 +43,8 @@ class CompiledAircraft:
         columns: index of each column of a row by its name, mostly a property of JSBSim, in
             JSBSim's units.
         air_columns: (5,) columns of AIR_PROPERTIES and BATTERY_PROPERTIES; -1: none.
-        clearance: ft, height above the terrain below which a part may touch the ground.
         run_rows: the compiled entry, `run_rows(state, wind, controls, first, changed, dt, ticks,
-            clearance, which, status)`; see `testbed.vehicle.compiled`.
+            which, status)`; see `testbed.vehicle.compiled`.
         source: of the module with the entry.
     """
 
@@ -70,7 +66,6 @@ class CompiledAircraft:
         self.columns, self.source = self._translation.columns, self._translation.source
         wanted = (*AIR_PROPERTIES, *BATTERY_PROPERTIES)
         self.air_columns = np.array([self.columns.get(each, -1) for each in wanted])
-        self.clearance = _clearance(read_aircraft(self.folder), model)
         self.run_rows: Any = entry_of_source(self._translation.function, self._translation.source)
 
     def row_of(self, model: JsbsimModel) -> Array:
@@ -82,6 +77,8 @@ class CompiledAircraft:
 
         Raises:
             RuntimeError: the model was not placed.
+            NotTranslated: it was placed where the state of a component is unknown, or above the
+                atmosphere of the compiled model.
         """
         if model.placing is None:
             raise RuntimeError("the model has not been placed")
@@ -102,11 +99,8 @@ class CompiledAircraft:
         )
         which = np.zeros(1, dtype=np.intp)
         controls = no_controls, no_controls
-        never = -math.inf  # placed rows may be near the ground
         rows = row.reshape(1, -1)
-        self.run_rows(
-            rows, no_wind, *controls, unchanged, dt, np.array([ticks]), never, which, status
-        )
+        self.run_rows(rows, no_wind, *controls, unchanged, dt, np.array([ticks]), which, status)
         return int(status[0])
 
     @property
@@ -133,16 +127,6 @@ def _reader(model: JsbsimModel) -> Callable[[str], float | None]:
     return read
 
 
-def _clearance(root: XmlNode, model: JsbsimModel) -> float:
-    """Return the largest distance of a contact point from the centre of gravity, ft, and margin."""
-    cg = [model.node(f"inertia/cg-{each}-in").get_double_value() for each in "xyz"]
-    ground = root.find("ground_reactions")
-    points = (
-        [each.child("location").vector("IN") for each in ground.all("contact")] if ground else []
-    )
-    return _INCH * max((math.dist(cg, point) for point in points), default=0.0) + _MARGIN
-
-
 class _Placement:
     """Repeats what JSBSim's initial condition does, as a row."""
 
@@ -160,6 +144,7 @@ class _Placement:
         for name, index in columns.items():
             if (value := placing.after.get(name)) is not None:
                 row[index] = value
+        row[columns["terrain-elevation-ft"]] = placing.terrain
         for name, recalled in aircraft.recalled.items():
             row[columns[name]] = self._recall(recalled)
         # the first evaluation begins with what the frame before has left
@@ -202,7 +187,11 @@ class _Placement:
         return state.sign * value
 
     def _evaluate(self, row: Array) -> None:
-        self._aircraft.run_row(row, 0.0, 1)
+        if self._aircraft.run_row(row, 0.0, 1) == ABOVE_ATMOSPHERE:
+            raise NotTranslated(
+                f"{self._aircraft.folder.name}: starts above 20 km, where the compiled atmosphere "
+                "ends; the aircraft is flown by JSBSim"
+            )
 
     def _copy(self, row: Array, derivative: str, old: tuple[str, ...]) -> None:
         """Copy a newest derivative to the columns of an older one."""

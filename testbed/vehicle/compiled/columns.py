@@ -48,7 +48,7 @@ CONSTANTS: Final = (
     _quantity("mass", "inertia/mass-slugs"),
     _quantity("inertia", "inertia/i{}-slugs_ft2", "xx yy zz xy xz yz"),
     _quantity("cg", "inertia/cg-{}-in", "x y z"),
-    _quantity("terrain", "ic/terrain-elevation-ft"),
+    _quantity("terrain", "terrain-elevation-ft"),  # as set; JSBSim's own property is rounded
 )
 FRAME: Final = (*MOTION, *OUTPUTS, CONTROLS, WIND, *CONSTANTS)
 AIR_INPUTS: Final = tuple(f"air/{each}" for each in ("p-rad_sec", "q-rad_sec", "r-rad_sec")) + (

@@ -21,6 +21,14 @@ def component_name(node: XmlNode) -> str:
     return name if "/" in name else f"fcs/{name.lower()}"
 
 
+def _state_name(node: XmlNode, source: StepSource) -> str:
+    """Return the property of a component's output, by which JSBSim shows its state."""
+    name = component_name(node)
+    if name in source.shared:
+        node.fail(f"has the output {name}, which another component writes")
+    return name
+
+
 def outputs(node: XmlNode) -> list[str]:
     """Return the properties that a component writes."""
     return [component_name(node), *(each.word for each in node.all("output"))]
@@ -151,9 +159,13 @@ _SIGNS = {
 
 
 def _switch(node: XmlNode, source: StepSource) -> str:
-    """Return the value of the first test that is true."""
-    default = node.child("default").attributes.get("value") or node.fail("has no default value")
-    value = _text_value(default, node, source)
+    """Return the value of the first test that is true, or else the default, or 0."""
+    default = node.find("default")
+    if default is None:
+        value = "0.0"
+    else:
+        text = default.attributes.get("value") or default.fail("has no value")
+        value = _text_value(text, default, source)
     for test in reversed(node.all("test")):
         chosen = test.attributes.get("value") or test.fail("has no value")
         value = f"({_text_value(chosen, test, source)} if {_condition(test, source)} else {value})"
@@ -187,7 +199,7 @@ def _filter(node: XmlNode, source: StepSource) -> str:
     inputs = node.all("input")
     if len(inputs) != 1:
         node.fail(f"has {len(inputs)} inputs")
-    owner, limits = component_name(node), node.find("clipto")
+    owner, limits = _state_name(node, source), node.find("clipto")
     low, high = -math.inf, math.inf
     if limits is not None:
         low, high = limits.child("min").number, limits.child("max").number
@@ -265,7 +277,7 @@ def _kinematic(node: XmlNode, source: StepSource) -> str:
     times = [each.value("time") for each in settings]
     if len(positions) < 2 or not all(a < b for a, b in pairwise(positions)):
         node.fail("has positions that do not increase")
-    name, now = source.name("settings_"), source.carry(component_name(node))
+    name, now = source.name("settings_"), source.carry(_state_name(node, source))
     source.helpers.append(f"{name} = np.array({positions})\n{name}_times = np.array({times})")
     target = _input(node, source)
     if node.find("noscale") is None:
@@ -288,7 +300,7 @@ def _actuator(node: XmlNode, source: StepSource) -> str:
         node.fail("has a combination of lag, limits and bias that is not translated")
     if states[1:] and "hysteresis_width" in states:
         node.fail("has a hysteresis after another part")
-    owner, limits = component_name(node), node.find("clipto")
+    owner, limits = _state_name(node, source), node.find("clipto")
     low, high = -math.inf, math.inf
     if limits is not None:
         low, high = limits.child("min").number, limits.child("max").number

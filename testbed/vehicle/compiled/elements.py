@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -18,6 +19,7 @@ _FOOT = 3.2808399  # of a metre, as JSBSim has it
 # JSBSim's factors; its other units are not translated
 _FACTORS = {
     **{(each, each): 1.0 for each in ("FT", "IN", "SLUG*FT2", "WATTS", "RAD", "DEG", "SEC")},
+    ("DEG", "RAD"): math.pi / 180.0,
     ("IN", "FT"): 1.0 / 12.0,
     ("M", "FT"): _FOOT,
     ("FT", "IN"): 12.0,

@@ -14,7 +14,7 @@ in B to I. Units are JSBSim's: ft, s, rad, slug, lb, degrees Rankine.
 
 from __future__ import annotations
 
-from math import asin, atan, atan2, copysign, cos, pi, pow, sin, sqrt
+from math import asin, atan, atan2, copysign, cos, exp, pi, pow, sin, sqrt
 
 from testbed.core.compile import jitable, kernel
 from testbed.core.records import Values, Vector
@@ -37,12 +37,14 @@ _MOLAR_MASS = 28.9645 * _SLUG / 1000.0
 GAS_CONSTANT = _R_STAR / _MOLAR_MASS  # ft lb / (slug degree Rankine), of dry air
 _HEAT_RATIO = 1.4
 _EARTH_RADIUS = 6356766.0 / _FOOT  # of geopotential altitudes
-TROPOPAUSE = 36089.2388  # ft, geopotential
+_TROPOPAUSE = 36089.2388  # ft, geopotential, as all heights here
+CEILING = 65616.7979  # 20 km, the end of the layer of constant temperature
 T_SEA, _T_TROPOPAUSE = 518.67, 389.97
 P_SEA = 2116.228  # lb/ft²
 RHO_SEA = P_SEA / (GAS_CONSTANT * T_SEA)
-_LAPSE = (_T_TROPOPAUSE - T_SEA) / (TROPOPAUSE - 0.0)  # degrees Rankine per ft
-_EXPONENT = 9.80665 / _FOOT / (GAS_CONSTANT * _LAPSE)
+_LAPSE = (_T_TROPOPAUSE - T_SEA) / (_TROPOPAUSE - 0.0)  # degrees Rankine per ft
+_GRAVITY = 9.80665 / _FOOT  # ft/s²
+_EXPONENT = _GRAVITY / (GAS_CONSTANT * _LAPSE)
 
 DEGREES = 180.0 / pi
 KNOTS = 3600.0 * _FOOT / 1852.0  # of a ft/s
@@ -308,17 +310,23 @@ def geopotential(altitude: float) -> float:
 
 @kernel
 def temperature(height: float, offset: float) -> float:
-    """Return the temperature at a geopotential altitude below the tropopause, degrees Rankine."""
+    """Return the temperature at a geopotential altitude below CEILING, degrees Rankine."""
+    if height > _TROPOPAUSE:
+        return _T_TROPOPAUSE + offset
     if height > 0.0:
-        return height / TROPOPAUSE * (_T_TROPOPAUSE - T_SEA) + T_SEA + offset
+        return height / _TROPOPAUSE * (_T_TROPOPAUSE - T_SEA) + T_SEA + offset
     return T_SEA + height * _LAPSE + offset
 
 
 @kernel
 def pressure(height: float, offset: float) -> float:
-    """Return the pressure at a geopotential altitude below the tropopause, lb/ft²."""
+    """Return the pressure at a geopotential altitude below CEILING, lb/ft²."""
     base = T_SEA + offset
-    return P_SEA * pow(base / (base + _LAPSE * height), _EXPONENT)
+    below = min(height, _TROPOPAUSE)
+    p: float = P_SEA * pow(base / (base + _LAPSE * below), _EXPONENT)
+    if height > _TROPOPAUSE:
+        p *= exp(-_GRAVITY * (height - _TROPOPAUSE) / (GAS_CONSTANT * (_T_TROPOPAUSE + offset)))
+    return p
 
 
 @kernel

@@ -11,16 +11,20 @@ from testbed.vehicle.compiled.source import StepSource, literal
 
 _INFIX = {"sum": "+", "product": "*", "difference": "-"}
 _COMPARE = {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "nq": "!="}
+# of one argument
 _MATH = {
-    **{each: each for each in "sqrt exp sin cos tan asin acos atan".split()},
-    "integer": "whole",
-    "floor": "np.floor",  # a whole number; of the module math, an integer of limited size
-    "ceil": "np.ceil",
-    "ln": "log",
-    "log10": "log10",
+    **{each: f"{each}({{}})" for each in "sqrt exp sin cos tan asin acos atan abs log10".split()},
+    "ln": "log({})",
+    "log2": f"(log10({{}}) * {literal(1.0 / math.log10(2.0))})",
+    "integer": "whole({})",
+    "floor": "np.floor({})",  # a whole number; of the module math, an integer of limited size
+    "ceil": "np.ceil({})",
+    "toradians": "({} * pi / 180.0)",
+    "todegrees": "({} * 180.0 / pi)",
+    "not": "(0.0 if {} != 0.0 else 1.0)",
+    "sign": "(-1.0 if {} < 0.0 else 1.0)",
 }
 _PAIRS = {"pow": "pow", "atan2": "atan2", "fmod": "np.fmod"}
-_LOG10_2 = math.log10(2.0)
 
 
 def expression(node: XmlNode, source: StepSource) -> str:
@@ -52,7 +56,7 @@ def expression(node: XmlNode, source: StepSource) -> str:
         return f"(1.0 if {values[0]} {_COMPARE[tag]} {values[1]} else 0.0)"
     if tag in _MATH:
         _expect(node, 1)
-        return f"{_MATH[tag]}({values[0]})"
+        return _MATH[tag].format(values[0])
     if tag in ("and", "or"):
         tests = (f"{value} != 0.0" for value in values)
         return f"(1.0 if {f' {tag} '.join(tests)} else 0.0)"
@@ -87,36 +91,6 @@ def _quotient(node: XmlNode, values: Sequence[str], source: StepSource) -> str:
     _expect(node, 2)
     divisor = source.assign(values[1])
     return f"({values[0]} / {divisor} if {divisor} != 0.0 else inf)"
-
-
-def _absolute(node: XmlNode, values: Sequence[str], _: StepSource) -> str:
-    _expect(node, 1)
-    return f"abs({values[0]})"
-
-
-def _to_radians(node: XmlNode, values: Sequence[str], _: StepSource) -> str:
-    _expect(node, 1)
-    return f"({values[0]} * {literal(math.pi)} / 180.0)"
-
-
-def _to_degrees(node: XmlNode, values: Sequence[str], _: StepSource) -> str:
-    _expect(node, 1)
-    return f"({values[0]} * 180.0 / {literal(math.pi)})"
-
-
-def _log2(node: XmlNode, values: Sequence[str], _: StepSource) -> str:
-    _expect(node, 1)
-    return f"(log10({values[0]}) * {literal(1.0 / _LOG10_2)})"
-
-
-def _not(node: XmlNode, values: Sequence[str], _: StepSource) -> str:
-    _expect(node, 1)
-    return f"(0.0 if {values[0]} != 0.0 else 1.0)"
-
-
-def _sign(node: XmlNode, values: Sequence[str], _: StepSource) -> str:
-    _expect(node, 1)
-    return f"(-1.0 if {values[0]} < 0.0 else 1.0)"
 
 
 def _fraction(node: XmlNode, values: Sequence[str], source: StepSource) -> str:
@@ -171,14 +145,8 @@ def _interpolate(node: XmlNode, values: Sequence[str], source: StepSource) -> st
 
 _OTHERS: dict[str, Callable[[XmlNode, Sequence[str], StepSource], str]] = {
     "quotient": _quotient,
-    "abs": _absolute,
-    "toradians": _to_radians,
-    "todegrees": _to_degrees,
     "switch": _switch,
     "interpolate1d": _interpolate,
-    "log2": _log2,
-    "not": _not,
-    "sign": _sign,
     "fraction": _fraction,
     "avg": _average,
     "mod": _modulo,
@@ -249,7 +217,7 @@ def _grid(data: XmlNode, source: StepSource) -> str:
         data.fail("is no table of two variables")
     if not all(a < b for each in (columns, keys) for a, b in pairwise(each)):
         data.fail("has breakpoints that do not increase")
-    name = source.name("table_")
+    name = source.name("data_")
     values = [row[1:] for row in rows]
     source.helpers.append(
         f"{name}_rows = np.array({keys})\n{name}_columns = np.array({columns})\n"
@@ -266,7 +234,7 @@ def table_function(data: XmlNode, source: StepSource) -> str:
     points = [(row[0], row[1]) for row in rows]
     if any(one[0] >= other[0] for one, other in pairwise(points)):
         data.fail("has breakpoints that do not increase")
-    name = source.name("table_")
+    name = source.name("data_")
     lines = [
         "@kernel",
         f"def {name}(x):",

@@ -32,7 +32,8 @@ from testbed.vehicle.trim import Controls, Placement
 
 STATES, STEPS = 50, 3  # random states, and steps from each
 FLIGHT_STEPS, HOLD = 200, 4  # a flight with random controls and wind, each held for some steps
-_SPUN = 10  # in one state of so many, propeller and surfaces settle first
+_SPUN = 10  # in one state of so many, propeller and surfaces settle first; the next one is high
+_HEIGHTS_M, _HIGH_M = (300.0, 3000.0), (8_000.0, 19_000.0)  # the tropopause is between
 _ATTEMPTS = 20  # to find a state in which no component is at a limit
 _SEED = 20260101
 
@@ -83,7 +84,7 @@ def compare(
     """Compare a compiled aircraft with JSBSim from random states, and in a flight."""
     comparison = Comparison(aircraft, rate_hz)
     for number in range(states):
-        comparison.place(spin=number % _SPUN == 0)
+        comparison.place(spin=number % _SPUN == 0, high=number % _SPUN == 1)
         comparison.run(STEPS)
         if comparison.unequal:
             break
@@ -120,14 +121,14 @@ class Comparison:
         self.row: Array = np.zeros(len(aircraft.columns))
         self.compared, self.unequal = 0, ""
 
-    def place(self, *, spin: bool, calm: bool = False) -> None:
-        """Place both in a random state of flight anywhere on the Earth.
+    def place(self, *, spin: bool, calm: bool = False, high: bool = False) -> None:
+        """Place both in a random state of flight anywhere on the Earth; high: above 10 km.
 
         Raises:
             NotTranslated: no state of the aircraft's components is known.
         """
         for attempt in range(_ATTEMPTS):
-            self._place(spin=spin, calm=calm)
+            self._place(spin=spin, calm=calm, high=high)
             try:
                 self.row = self._aircraft.row_of(self.model)
                 break
@@ -136,13 +137,14 @@ class Comparison:
                     raise
         self.check("placed")
 
-    def _place(self, *, spin: bool, calm: bool) -> None:
+    def _place(self, *, spin: bool, calm: bool, high: bool) -> None:
         random, model = self._random, self.model
         spin |= bool(self._aircraft.recalled)
         origin = NedOrigin(
             float(random.uniform(-80.0, 80.0)), float(random.uniform(-180.0, 180.0)), 100.0
         )
-        model.locate((0.0, 0.0, float(-random.uniform(300.0, 3000.0))), origin)
+        height = random.uniform(*(_HIGH_M if high else _HEIGHTS_M))
+        model.locate((0.0, 0.0, float(-height)), origin)
         model.node("atmosphere/delta-T").set_double_value(float(random.uniform(-40.0, 40.0)))
         if self._battery:
             model.charge(float(random.uniform(0.1, 1.0)))

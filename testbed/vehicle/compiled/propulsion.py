@@ -18,6 +18,7 @@ ENGINE_OUTPUTS = {
     "thrust-lbs": "thrust",
     "advance-ratio": "advance",
     "thrust-coefficient": "ct",
+    "prop-induced-velocity_fps": "induced_velocity(inflow, thrust, rho, area)",
 }
 
 
@@ -41,7 +42,9 @@ def propulsion(root: XmlNode, source: StepSource) -> None:
 
 def _engine(engine: XmlNode, number: int, source: StepSource) -> None:
     thruster = engine.child("thruster")
-    kinds = [each for each in engine.children if each.tag not in ("feed", "thruster")]
+    # JSBSim applies a thruster's force at its own location, whatever that of the engine
+    mounting = ("feed", "thruster", "location", "orient")
+    kinds = [each for each in engine.children if each.tag not in mounting]
     propellers = thruster.all("propeller")
     if len(kinds) != 1 or len(propellers) != 1:
         engine.fail(f"has {len(kinds)} motors and {len(propellers)} propellers")
@@ -82,9 +85,9 @@ def _brushless(motor: XmlNode, rpm: str, throttle: str, source: StepSource) -> N
 
 def _propeller(thruster: XmlNode, propeller: XmlNode, rpm: str, source: StepSource) -> None:
     """Write thrust, torque and speed of a propeller of coefficients against V / (n D)."""
-    orient = thruster.find("orient")
-    if orient is not None and any(each.number for each in orient.children):
-        orient.fail("is not forward")
+    pitches = [propeller.value(each, default=0.0) for each in ("minpitch", "maxpitch")]
+    if pitches[0] != pitches[1]:
+        propeller.fail("of variable pitch is not translated")
     x, y, z = thruster.child("location").vector("IN")
     diameter, ixx = propeller.value("diameter", "FT"), propeller.value("ixx", "SLUG*FT2")
     d4 = diameter * diameter * diameter * diameter
@@ -102,20 +105,32 @@ def _propeller(thruster: XmlNode, propeller: XmlNode, rpm: str, source: StepSour
     ct, cp = (propeller.value(each, default=1.0) for each in ("ct_factor", "cp_factor"))
     d, two_pi = literal(diameter), literal(2.0 * math.pi)
     sense_text, ixx_text = literal(sense), literal(ixx)
+    flow_at = "add(uvw_aero, cross(pqr, lever))"  # of the propeller, along the axes of the thruster
+    axes = _axes(thruster.find("orient"))
+    if axes is None:
+        inflow = "uvw_aero[0] + (pqr[1] * lever[2] - pqr[2] * lever[1])"
+        push, twist = "(thrust, 0.0, 0.0)", "(torque, 0.0, 0.0)"
+        gyroscopic = "(0.0, rates[2] * spin, -(rates[1] * spin))"
+    else:
+        rows = [f"({', '.join(map(literal, each))})" for each in axes]
+        flow_at = f"rotate(({', '.join(rows)}), {flow_at})"
+        inflow = f"({flow_at})[0]"
+        push, twist = f"scale(thrust, {rows[0]})", f"scale(torque, {rows[0]})"
+        gyroscopic = f"cross(rates, scale(spin, {rows[0]}))"
     shift = ""
     if (factor := thruster.value("p_factor", default=0.0)) > 0.0001:
-        area = literal(0.25 * diameter * diameter * math.pi)
         point = f"({literal(x)}, {literal(y)}, {literal(z)})"
         shift = (
-            f"across = add(uvw_aero, cross(pqr, lever))\n"
-            f"through = inflow + induced_velocity(inflow, thrust, rho, {area})\n"
+            f"across = {flow_at}\n"
+            "through = inflow + induced_velocity(inflow, thrust, rho, area)\n"
             f"point = shift_thrust({point}, across, through, {literal(sense * factor)})\n"
             "lever = arm(cg, point)"
         )
     source.emit(
         f"""
+area = {literal(0.25 * diameter * diameter * math.pi)}
 lever = arm(cg, ({literal(x)}, {literal(y)}, {literal(z)}))
-inflow = uvw_aero[0] + (pqr[1] * lever[2] - pqr[2] * lever[1])
+inflow = {inflow}
 rps = {rpm} / 60.0
 advance = inflow / ({d} * rps) if rps > 0.01 else inflow / {d}
 slowest = 0.01 if rps < 0.01 else rps
@@ -131,9 +146,23 @@ spare = spare / omega if omega > 0.01 else spare
 if {rpm} < 0.0:
     {rpm} = 0.0
 {shift}
-force = add(force, (thrust, 0.0, 0.0))
-gyroscopic = (0.0, rates[2] * spin, -(rates[1] * spin))
-moment_propeller = add(add(gyroscopic, (torque, 0.0, 0.0)), cross(lever, (thrust, 0.0, 0.0)))
+push = {push}
+force = add(force, push)
+moment_propeller = add(add({gyroscopic}, {twist}), cross(lever, push))
 moment = add(moment, moment_propeller)
 """
     )
+
+
+def _axes(orient: XmlNode | None) -> list[tuple[float, float, float]] | None:
+    """Return the axes of a thruster (3 rows of 3) in B, or None where they are those of B."""
+    if orient is None or not any(each.number for each in orient.children):
+        return None
+    roll, pitch, yaw = orient.vector("RAD", "roll", "pitch", "yaw")
+    cr, cp, cy = math.cos(roll), math.cos(pitch), math.cos(yaw)
+    sr, sp, sy = math.sin(roll), math.sin(pitch), math.sin(yaw)
+    return [
+        (cp * cy, cp * sy, -sp),
+        (sr * sp * cy - cr * sy, sr * sp * sy + cr * cy, sr * cp),
+        (cr * sp * cy + sr * sy, cr * sp * sy - sr * cy, cr * cp),
+    ]

@@ -22,6 +22,8 @@ _CONSTANT = ("metrics/",)  # groups of properties that loading sets and no step 
 SURFACES = ("elevator", "left-aileron", "right-aileron", "rudder", "speedbrake", "spoiler", "flap")
 _POSITION = re.compile(rf"fcs/({'|'.join(SURFACES)})-pos-(rad|deg)")
 _WRITABLE = ("fcs", "aero", "systems")  # groups of JSBSim's that aircraft write
+GEAR = ("gear/gear-cmd-norm", "gear/gear-pos-norm")  # in flight only what the files make of it
+_WEIGHT_ON_WHEELS = re.compile(r"gear/(unit(\[\d+\])?/WOW|wow)")
 
 
 class Recalled(NamedTuple):
@@ -58,6 +60,7 @@ class StepSource:
     Attributes:
         helpers: functions that the step calls.
         recalled: the aircraft's own columns that JSBSim has no property for.
+        shared: properties that more than one component writes.
     """
 
     def __init__(self, constant: Callable[[str], float | None]) -> None:
@@ -79,6 +82,7 @@ class StepSource:
         self._count = 0
         self.helpers: list[str] = []
         self.recalled: dict[str, Recalled] = {}
+        self.shared: set[str] = set()
 
     # properties
 
@@ -109,7 +113,7 @@ class StepSource:
         name = plain(name)
         if name == "simulation/dt":
             return "dt"
-        if name == "forces/hold-down":
+        if name == "forces/hold-down" or _WEIGHT_ON_WHEELS.fullmatch(name):
             return "0.0"  # of aircraft in flight
         if name.startswith(_CONSTANT) and name not in self._declared:
             if (value := self._constant(name)) is None:
@@ -126,7 +130,8 @@ class StepSource:
         """Set a property that the aircraft's files write."""
         name = plain(name)
         group = re.split(r"[/\[]", name, maxsplit=1)[0]
-        if name in self._frame or (group in JSBSIM_PROPERTIES and group not in _WRITABLE):
+        kept = group in JSBSIM_PROPERTIES and group not in _WRITABLE and name not in GEAR
+        if name in self._frame or kept:
             node.fail(f"writes {name}, which the compiled model keeps to itself")
         self.emit(f"{self.variable(name)} = {value}")
         self._declared.add(name)

@@ -31,7 +31,7 @@ from testbed.vehicle.compiled.propulsion import (
     propulsion,
     throttle_property,
 )
-from testbed.vehicle.compiled.source import SURFACES, Recalled, StepSource
+from testbed.vehicle.compiled.source import GEAR, SURFACES, Recalled, StepSource
 from testbed.vehicle.environment import (
     ADAMS_BASHFORTH_2,
     ADAMS_BASHFORTH_3,
@@ -68,6 +68,7 @@ _AFTER_PROPAGATE = {
     },
     "position/h-sl-ft": "altitude",
     "position/geod-alt-ft": "geodetic(place)[2]",
+    "position/h-agl-ft": "geodetic(place)[2] - terrain",
     "position/lat-geod-rad": "geodetic(place)[0]",
     "position/long-gc-rad": "geodetic(place)[1]",
     "position/lat-gc-rad": "latitude",
@@ -110,6 +111,8 @@ _AFTER_AUXILIARY = {
 
 # Properties of JSBSim that keep their value from the placement, unless the files write them.
 _HELD = (
+    *GEAR,
+    "aero/stall-hyst-norm",  # 0 at all angles of attack in JSBSim 1.3.3
     *(f"fcs/{each}-trim-cmd-norm" for each in ("pitch", "roll", "yaw")),
     *(f"fcs/{each}-cmd-norm" for each in ("flap", "speedbrake", "spoiler", "steer")),
     *(f"fcs/{each}-pos-{unit}" for each in SURFACES for unit in ("rad", "deg", "norm")),
@@ -164,11 +167,8 @@ _LIMITS = """
     if not (vt < FASTEST and abs(rates[0]) < FASTEST and abs(rates[1]) < FASTEST):
         status[row] = IMPLAUSIBLE
         break
-    if altitude - terrain < clearance:
-        status[row] = NEAR_GROUND
-        break
-    if height > TROPOPAUSE:
-        status[row] = ABOVE_TROPOPAUSE
+    if height > CEILING:
+        status[row] = ABOVE_ATMOSPHERE
         break
 """
 _HEADER = '''"""The step of an aircraft, translated from its files."""
@@ -241,7 +241,7 @@ class _Translator:
         self._provide(_AFTER_PROPAGATE | _AFTER_ATMOSPHERE)
         self._systems()
         source.emit(_dedent(_AUXILIARY))
-        self._provide(_AFTER_AUXILIARY)
+        self._provide(_AFTER_AUXILIARY | self._heights())
         source.emit("# Propulsion\nforce = moment = (0.0, 0.0, 0.0)")
         propulsion(self._root, source)
         source.emit("# Aerodynamics")
@@ -255,7 +255,7 @@ class _Translator:
         source, root = self._source, self._root
         source.declare_frame(*CONTROLS.columns, *WIND.columns, "atmosphere/delta-T")
         source.declare_frame(*_AFTER_PROPAGATE, *_AFTER_ATMOSPHERE)
-        source.declare_frame(*_AFTER_AUXILIARY, *_AFTER_ACCELERATIONS)
+        source.declare_frame(*_AFTER_AUXILIARY, *self._heights(), *_AFTER_ACCELERATIONS)
         source.declare_frame("aero/bi2vel", "aero/ci2vel", "aero/qbar-area")
         source.declare(*_HELD)
         if reads_lift_squared(root):
@@ -265,11 +265,15 @@ class _Translator:
             outputs_of = ("propeller-rpm", *ENGINE_OUTPUTS)
             source.declare_frame(*(engine_property(number, each) for each in outputs_of))
             source.declare(throttle_property(number))
+        written = set[str]()
         for system in self._ordered_systems():
             for node in system.all("property"):
                 source.declare(node.word)
             for each in self._components(system):
-                source.declare(*outputs(each))
+                names = set(outputs(each))
+                source.shared |= written & names
+                written |= names
+        source.declare(*written)
         for node in root.child("aerodynamics").walk():
             if node.tag == "function" and node.attributes.get("name"):
                 source.declare(node.attributes["name"])
@@ -277,6 +281,17 @@ class _Translator:
     def _provide(self, properties: dict[str, str]) -> None:
         for name, value in properties.items():
             self._source.provide(name, value)
+
+    def _heights(self) -> dict[str, str]:
+        """Return the heights of centre of gravity and wing above the terrain, in spans."""
+        read = self._source.read
+        span = read("metrics/bw-ft", self._root)
+        point = ", ".join(read(f"metrics/aero-rp-{each}-in", self._root) for each in "xyz")
+        height = "geodetic(place)[2] - terrain"
+        return {
+            "aero/h_b-cg-ft": f"({height}) / {span}",
+            "aero/h_b-mac-ft": f"({height} - rotate_back(t_bl, arm(cg, ({point})))[2]) / {span}",
+        }
 
     def _propagate(self) -> None:
         """Write the integration of attitude, rates, position and velocity."""
@@ -383,7 +398,7 @@ class _Translator:
 
 
 _FUNCTION = '''
-def run_rows(state, wind_inputs, controls, first, changed, dt, ticks, clearance, which, status):
+def run_rows(state, wind_inputs, controls, first, changed, dt, ticks, which, status):
     """Advance rows by some steps; see `CompiledAircraft.run_rows`."""
     for row in which:
         if status[row] != 0:
