@@ -51,7 +51,7 @@ PLACE = np.dtype(
         ("left", "i8"),  # ticks to be run
         ("last", "i8"),  # tick of the flight
         ("rate_hz", "f8"),  # of the ticks
-        ("now", "f8"),  # time of the tick, s
+        ("now", "f8"),  # time of the last tick that was begun, s
         ("until", "f8"),  # time of the next pause, s
         ("waiting", "?"),  # for Python, at the stage
         ("ending", "?"),  # the tick is the last one
@@ -138,8 +138,6 @@ class TickLoop:
         place["row"] = place["offset"] = place["stage"] = 0
         place["ending"] = place["done"] = place["waiting"] = False
         place["rows"], place["period"], place["last"] = len(rows), period, last
-        if len(rows):
-            place["now"] = rows[0][0] / place["rate_hz"]
         self._call.rebind(*self._arguments)
 
     def seek(self, tick: int, behind: Callable[[Stage], bool]) -> bool:
@@ -214,8 +212,10 @@ class TickLoop:
 
     @property
     def time_s(self) -> float:
-        """Time of the present tick, s."""
-        return float(self._place["now"][0])
+        """Time of the present tick, s, or of the next one between two ticks."""
+        place = self._place[0]
+        tick = int(self._block["tick"][place["row"]] + place["offset"])
+        return tick / float(place["rate_hz"])
 
     @property
     def _at(self) -> Stage:

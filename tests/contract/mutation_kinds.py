@@ -69,7 +69,8 @@ def feed_scenario(path):
         or scenario.rates.autopilot_hz > 500
     ):
         return  # correct, but takes long
-    scenario = set_duration(scenario, 0.2)
+    begin = scenario.scenario.begin
+    scenario = set_duration(scenario, 0.2 + (begin.at_s if begin else 0.0))
     world = build(scenario)
     if world.external_processes:
         return  # the programs are not installed

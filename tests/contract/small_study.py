@@ -61,3 +61,19 @@ def content(table):
         for name, values in table.columns.items()
     }
     return columns, dict(table.metadata)
+
+
+# A law that fails in flight.
+TORN_LAW = """
+class Torn:
+    def __init__(self, config):
+        self.builtin = config.hbh23
+
+    def start(self, own):
+        return self.builtin.start(own)
+
+    def step(self, now, own, inbox, memory):
+        if now > 0.5:
+            raise RuntimeError("torn")
+        return self.builtin.step(now, own, inbox, memory)
+"""

@@ -1,6 +1,7 @@
 """Flights of one process after another are those of `testbed.run`, whatever was flown before."""
 
 import pytest
+import small_study
 
 import testbed
 from testbed.core.errors import FlightError, InputError
@@ -12,19 +13,6 @@ from testbed.studies.flight_task import FlightTask, run_task
 NOISY = ("fleet.*.sensors=gps-ins", "network.loss=0.1")
 GUSTY = ("air.turbulence={model: coherent, intensity: moderate}", "air.wind.speed_mps=3")
 CLOCKS = ("wall_s", "real_time_factor")
-LAW = """
-class Torn:
-    def __init__(self, config):
-        self.builtin = config.hbh23
-
-    def start(self, own):
-        return self.builtin.start(own)
-
-    def step(self, now, own, inbox, memory):
-        if now > 0.5:
-            raise RuntimeError("torn")
-        return self.builtin.step(now, own, inbox, memory)
-"""
 
 
 def load(*changes, name="simulation-3", duration_s=2.0):
@@ -97,7 +85,7 @@ def test_noisy_flights_of_both_engines_are_runs(engine):
 @pytest.mark.parametrize("kind", ["external", "law"])
 def test_flights_beyond_a_batch_are_runs(kind, built, tmp_path):
     """The seed may change them: what a program or a law does is not known."""
-    (tmp_path / "torn.py").write_text(LAW)
+    (tmp_path / "torn.py").write_text(small_study.TORN_LAW)
     path = tmp_path / "mine.yaml"
     path.write_text("extends: simulation-3\ncontroller: {law: 'torn:Torn'}\n")
     changes = ["fleet.uav1.commanded_by=external"] if kind == "external" else []
@@ -124,7 +112,7 @@ def test_an_error_drops_the_kept_flight(built, monkeypatch):
 
 
 def test_tasks_after_a_failing_law_are_right(tmp_path):
-    (tmp_path / "torn.py").write_text(LAW)
+    (tmp_path / "torn.py").write_text(small_study.TORN_LAW)
     path = tmp_path / "mine.yaml"
     path.write_text("extends: simulation-3\ncontroller: {law: 'torn:Torn'}\n")
     noisy, torn, wrong = load(*NOISY), load(name=path), load("formation.leader_gains.uav1=0")

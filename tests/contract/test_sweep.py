@@ -296,25 +296,12 @@ cases:
   raises: {controller.law: "torn:Torn"}
 """
 NEAR = "extends: ideal-figure-eight"
-LAW = """
-class Torn:
-    def __init__(self, config):
-        self.builtin = config.hbh23
-
-    def start(self, own):
-        return self.builtin.start(own)
-
-    def step(self, now, own, inbox, memory):
-        if now > 0.5:
-            raise RuntimeError("torn")
-        return self.builtin.step(now, own, inbox, memory)
-"""
 
 
 def test_sweep_failed_runs_are_rows_and_exit_1(workers, tmp_path):
     small_study.write(tmp_path, FAILURES, "bad")
     (tmp_path / "near.yaml").write_text(NEAR)
-    (tmp_path / "torn.py").write_text(LAW)
+    (tmp_path / "torn.py").write_text(small_study.TORN_LAW)
     done = call_command(
         "sweep", "bad.yaml", "--out", "b.parquet", "--json", "b.json",
         cwd=tmp_path, code=LOST, columns=100,
