@@ -104,7 +104,7 @@ check-all: test release
 	@$(BIN)/testbed check --jobs $(JOBS)
 	@$(MAKE) train ARGS=
 
-# Cost of a flight relative to bare JSBSim, by part and by size of the fleet (ARGS="--json FILE --into
+# Cost of a flight relative to bare JSBSim, by size of the fleet (ARGS="--json FILE --into
 # docs/speed.md" writes it); of coherent turbulence and of sensor errors; of the network of 100 aircraft;
 # of a live view; of four ArduPlanes; of stepping from Python; and the time to start.
 bench: $(STAMP)

@@ -1,10 +1,11 @@
-"""Measure a flight relative to bare JSBSim, by part of the simulation and size of the fleet.
+"""Measure a flight relative to bare JSBSim, by size of the fleet.
 
 usage: make bench  (or: python benchmarks/speed.py [--repeats N] [--work AIRCRAFT_SECONDS]
 [--counts N ...] [--json FILE] [--into docs/speed.md])
 
 All scenarios are measured in one process, one after the other, several times. Each turn is the
-first half of the bare loop, the flight, the same flight timed by part, and the other half.
+first half of the bare loop, the flight at its own rate, at that of the bare loop with a log and
+without, and the other half.
 """
 
 from __future__ import annotations
@@ -20,7 +21,6 @@ from typing import Any
 from fleets import COUNTS, all_effects, vee
 from full_over_bare import Turn, flight_models, full, median, turn
 from memory import memory
-from part_timer import PartTimer
 from speed_tables import ALL_EFFECTS, FIGURE, MARK, SIMULATION, TARGETS, machine, picture, text
 from tables import insert
 
@@ -40,26 +40,17 @@ def measure(scenarios: Mapping[str, Scenario], repeats: int) -> dict[str, dict[s
     for scenario in scenarios.values():
         full(set_duration(scenario, WARM_UP_S))  # compiles the kernels
     turns: dict[str, list[Turn]] = {name: [] for name in scenarios}
-    timers = {name: PartTimer() for name in scenarios}
     for number in range(repeats):
         for name, scenario in scenarios.items():
-            taken = [
-                turn(scenario, timers[name])
-                for _ in range(TURNS_WITH_TARGET if name in TARGETS else 1)
-            ]
+            taken = [turn(scenario) for _ in range(TURNS_WITH_TARGET if name in TARGETS else 1)]
             turns[name] += taken
             ratio = median([each.ratio for each in taken])
             _print_progress(f"turn {number + 1}: {name}: full / bare {ratio.wall_s:.2f}")
-    return {
-        name: numbers(scenario, turns[name], timers[name].shares)
-        for name, scenario in scenarios.items()
-    }
+    return {name: numbers(scenario, turns[name]) for name, scenario in scenarios.items()}
 
 
-def numbers(
-    scenario: Scenario, turns: Sequence[Turn], shares: Mapping[str, float]
-) -> dict[str, Any]:
-    """Return the numbers of a scenario's turns and each part's time, ready for JSON."""
+def numbers(scenario: Scenario, turns: Sequence[Turn]) -> dict[str, Any]:
+    """Return the numbers of the turns of a scenario, ready for JSON."""
     flown, bare = (median([getattr(each, of) for each in turns]) for of in ("full", "bare"))
     seconds, aircraft = scenario.scenario.duration_s, flight_models(scenario)
     each_us = 1e6 / (seconds * aircraft)
@@ -82,9 +73,7 @@ def numbers(
         "us_per_aircraft_second": {
             "bare": bare.processor_s * each_us,
             "full": flown.processor_s * each_us,
-            **{part: share * flown.processor_s * each_us for part, share in shares.items()},
         },
-        "timing_cost": median([one.timed / one.full for one in turns]).processor_s,
     }
 
 

@@ -4,25 +4,21 @@ from __future__ import annotations
 
 import os
 import platform
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from part_timer import PARTS
 from tables import row
 
 from testbed.plan.world import versions
 from testbed.views.panels import (
     BLACK,
     BLUE,
-    BROWN,
     DASHED,
     GREEN,
     GREY,
     ORANGE,
-    PINK,
-    VIOLET,
     Band,
     Line,
     Panel,
@@ -33,20 +29,6 @@ FIGURE = Path(__file__).parent.parent / "docs" / "images" / "speed.png"
 MARK = "make bench"
 SIMULATION, ALL_EFFECTS = "simulation-3", "all effects"
 TARGETS = {SIMULATION: 0.35, ALL_EFFECTS: 0.9}  # at the rate of the bare loop
-SKY, GOLD = "#56b4e9", "#e69f00"  # areas need less contrast than lines
-# Parts that are drawn together, from the bottom up, by the name in the legend.
-STACK: Mapping[str, tuple[str, tuple[str, ...]]] = {
-    "physics": (BLUE, ("physics",)),
-    "properties": (SKY, ("properties",)),
-    "air": (GREEN, ("air",)),
-    "sensing": (PINK, ("sensing",)),
-    "autopilot": (ORANGE, ("autopilot",)),
-    "network": (GOLD, ("network",)),
-    "control, leader": (VIOLET, ("control", "leader")),
-    "log, metrics": (GREY, ("log", "metrics")),
-    "loop, events": (BROWN, ("loop", "events")),
-}
-OPACITY = 0.7
 
 Results = Mapping[str, Any]
 
@@ -75,7 +57,6 @@ def text(result: Results) -> str:
     """Return all tables as text."""
     setup = result["machine"]
     flown = ", ".join(f"{name} {of}" for name, of in setup["versions"].items())
-    timing = max(numbers["timing_cost"] for numbers in cases(result).values())
     return "\n".join(
         [
             *ratio_table(result),
@@ -87,13 +68,8 @@ def text(result: Results) -> str:
             "own rate of the flight models, 100 Hz, and at that of the bare loop, 200 Hz, with a "
             "log and without.",
             "",
-            *parts_table(result),
-            "",
-            "Microseconds of processor time per second of flight and aircraft. The timing itself "
-            f"made the flights at most {100.0 * max(timing - 1.0, 0.0):.0f} % longer.",
-            "",
             *growth(result),
-            "![Where the time goes](images/speed.png)",
+            "![The cost of a flight](images/speed.png)",
             "",
             f"Measured on {setup['processors']} processors ({setup['processor']}) with a load "
             f"of {setup['load']:.1f} from other programs, with {flown}.",
@@ -126,22 +102,6 @@ def _spread(numbers: Results, key: str) -> str:
     return f"{numbers[key]:.2f} ({low:.2f}–{high:.2f})"
 
 
-def parts_table(result: Results) -> Iterator[str]:
-    """Return the rows of time by part."""
-    each = cases(result)
-    yield row("µs", *each)
-    yield "|---|" + "--:|" * len(each)
-    for part, about in PARTS.items():
-        yield row(
-            f"{part}: {about}",
-            *(f"{numbers['us_per_aircraft_second'][part]:.0f}" for numbers in each.values()),
-        )
-    for key, about in (("full", "all"), ("bare", "bare loop")):
-        yield row(
-            about, *(f"{numbers['us_per_aircraft_second'][key]:.0f}" for numbers in each.values())
-        )
-
-
 def growth(result: Results) -> Iterator[str]:
     """Return sentences on the cost of many aircraft, and their memory."""
     by_count = result["by_aircraft"]
@@ -167,12 +127,9 @@ def growth(result: Results) -> Iterator[str]:
 
 
 def picture(result: Results) -> PanelGrid:
-    """Return the figure: time by part as stacked columns, ratios by number of aircraft."""
+    """Return the figure: ratios and speed by number of aircraft."""
     counts = sorted(map(int, result["by_aircraft"]))
     by_count = [result["by_aircraft"][str(count)] for count in counts]
-    columns = [*by_count, *(result[name] for name in TARGETS)]
-    names = [*map(str, counts), "simulation-3\n4", "all effects\n4"]
-    ticks = [(float(k), name) for k, name in enumerate(names)]
     x = np.array(counts, dtype=float)
     decades = [(float(count), str(count)) for count in counts]
     ratio = np.array([numbers["at_bare_hz"] for numbers in by_count])
@@ -184,13 +141,12 @@ def picture(result: Results) -> PanelGrid:
         (name, result[name]["at_bare_hz"], colour, sign)
         for name, colour, sign in ((SIMULATION, ORANGE, "s"), (ALL_EFFECTS, GREEN, "^"))
     ]
-    top = float(max(spread.max(), *(each for _, each, _, _ in marked)))
+    top = float(max(spread.max(), *TARGETS.values(), *(each for _, each, _, _ in marked)))
     return PanelGrid(
-        "Where the time goes",
-        "Processor time by part, and a whole flight relative to the bare flight models",
+        "The cost of a flight",
+        "A whole flight with its log, relative to the bare loop of JSBSim",
         [
             [
-                _stacks(columns, ticks),
                 Panel(
                     "Whole flight over bare loop, 200 Hz",
                     "flight models",
@@ -228,7 +184,7 @@ def picture(result: Results) -> PanelGrid:
                     "simulated s / s",
                     [
                         Line(x, factor, BLUE, width=1.5, marker="o", marks=0),
-                        Line(x, ideal, BLACK, width=1.5, dashes=DASHED),
+                        Line(x, ideal, BLACK, "bare loop", 1.5, dashes=DASHED),
                         Line(ends, np.ones(2), GREY, "real time", 2.0),
                     ],
                     x_log=True,
@@ -237,29 +193,6 @@ def picture(result: Results) -> PanelGrid:
                 ),
             ]
         ],
-        [2.4, 1.0, 1.0],
-        (19.0, 8.0),
-    )
-
-
-def _stacks(columns: Sequence[Results], ticks: Sequence[tuple[float, str]]) -> Panel:
-    """Return a column of parts per case, with the bare loop across it."""
-    bands, lines = [], []
-    for at, numbers in enumerate(columns):
-        costs, low = numbers["us_per_aircraft_second"], np.zeros(2)
-        x = at + np.array([-0.36, 0.36])
-        for name, (colour, parts) in STACK.items():
-            high = low + sum(costs[part] for part in parts)
-            bands.append(Band(x, low, high, colour, "" if at else name, OPACITY))
-            low = high
-        bare = np.full(2, costs["bare"])
-        lines.append(Line(x, bare, BLACK, "" if at else "bare loop", 2.0, dashes=DASHED))
-    return Panel(
-        "Processor time for one second of flight of one aircraft",
-        "flight models",
-        "µs",
-        lines,
-        bands,
-        y_limits=(0.0, max(each["us_per_aircraft_second"]["full"] for each in columns) * 1.05),
-        x_ticks=ticks,
+        [1.0, 1.0],
+        (13.0, 6.5),
     )

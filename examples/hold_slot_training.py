@@ -172,7 +172,7 @@ def error_table(episodes: Sequence[Sequence[float]]) -> np.ndarray:
 def main() -> None:
     """Train, compare, print."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--steps", type=int, default=250_000, help="of training, 0.2 s each")
+    parser.add_argument("--steps", type=int, default=400_000, help="of training, 0.2 s each")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--flights", type=int, default=64, help="at the same time")
     parser.add_argument("--episodes", type=int, default=20, help="of the comparison")

@@ -160,7 +160,7 @@ class CalledByAddress:
         function: the entry.
     """
 
-    UNSAVED = "function", "_addresses"  # of all flights
+    CONSTANT = True  # for a flight
 
     def __init__(self, function: Any, takes_time: bool) -> None:  # noqa: ANN401 - numba's
         """Start without machine code."""

@@ -5,9 +5,10 @@ of arrays, the elements of lists, sets and dictionaries, the attributes of objec
 random generators. Returning writes these into the same objects again, so that addresses in compiled
 code stay right. What has its state elsewhere, such as a program or a file, is refused by name.
 
-A class may name attributes in `UNSAVED`: these are no state of a flight, or are made again where
-they are missing; and in `ADDRESSES`: these are right in their own object only. It may have a method
-`unused_arrays`, of arrays that are written before they are read.
+A class may say that its objects are `CONSTANT`. It may name attributes in `UNSAVED`: these are no
+state of a flight, or are made again where they are missing; and in `ADDRESSES`: these are right in
+their own object only. It may have a method `unused_arrays`, of arrays that are written before they
+are read.
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ class SavedState:
         waiting = [(each, name) for name, each in reversed(roots.items())]
         while waiting:
             each, path = waiting.pop()
-            if id(each) in seen or isinstance(each, _CONSTANT) or is_compiled(each):
+            if id(each) in seen or isinstance(each, _CONSTANT) or _is_constant(each):
                 continue
             seen[id(each)] = each
             if isinstance(each, np.ndarray):
@@ -123,7 +124,7 @@ def copy_state(source: object, target: object) -> None:
     seen, waiting = set[int](), [(source, target, "")]
     while waiting:
         one, other, path = waiting.pop()
-        if one is other or id(one) in seen or is_compiled(one):
+        if one is other or id(one) in seen or _is_constant(one):
             continue
         seen.add(id(one))
         if type(one) is not type(other):
@@ -159,7 +160,7 @@ def take_changes(before: object, after: object, target: object) -> list[str]:
     waiting = [(before, after, target, "")]
     while waiting:
         old, new, mine, path = waiting.pop()
-        if new is mine or id(new) in seen or is_compiled(new):
+        if new is mine or id(new) in seen or _is_constant(new):
             continue
         seen.add(id(new))
         if isinstance(new, np.ndarray) and isinstance(old, np.ndarray):
@@ -208,7 +209,7 @@ def _has_changed(old: object, new: object) -> bool:
     seen, waiting = set[int](), [(old, new)]
     while waiting:
         one, other = waiting.pop()
-        if one is other or id(other) in seen or is_compiled(other):
+        if one is other or id(other) in seen or _is_constant(other):
             continue
         seen.add(id(other))
         if isinstance(one, _CONSTANT) or isinstance(other, _CONSTANT):
@@ -285,6 +286,11 @@ def _parallel_parts(objects: tuple[Any, ...]) -> Iterator[Part]:
         for name in sorted(name for name in names if all(hasattr(e, name) for e in objects)):
             write = None if _is_frozen(kind) else partial(object.__setattr__, last, name)
             yield f".{name}", tuple(getattr(each, name) for each in objects), write
+
+
+def _is_constant(value: object) -> bool:
+    """Return whether an object is compiled code, or says that it never changes."""
+    return getattr(type(value), "CONSTANT", False) or is_compiled(value)
 
 
 def _bytes_of(array: NDArray[Any]) -> NDArray[np.uint8]:

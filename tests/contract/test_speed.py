@@ -1,7 +1,6 @@
-"""Speed benchmarks: bare and full make the same steps, and every part is timed."""
+"""Speed benchmarks: what is measured, and the tables made of it."""
 
 import importlib
-import itertools
 from pathlib import Path
 
 import pytest
@@ -18,28 +17,19 @@ def benchmark(monkeypatch):
     return importlib.import_module
 
 
-def test_part_timer_counts_calls_of_each_part(benchmark):
-    timer, ratio = benchmark("part_timer"), benchmark("full_over_bare")
-    scenario = set_duration(load_scenario("simulation-3"), 8.0)
-    # a clock that advances by one at each reading
-    watch = timer.PartTimer(itertools.count().__next__)
-    with watch.timing():
-        ratio.full(scenario, watch)
-    assert sum(watch.shares.values()) == pytest.approx(1.0)
-    ticks, frames = 8 * scenario.rates.autopilot_hz + 1, 8 * scenario.rates.log_hz + 1
-    # the log is called twice per sample, to append it and to write a full block, and goes on after
-    # the metrics have taken that block
-    readings = 2 * frames + 1
-    calls = {part: readings * share / watch.shares["log"] for part, share in watch.shares.items()}
-    assert calls["physics"] == pytest.approx(ticks - 1)  # none after the last
-    assert calls["autopilot"] == pytest.approx(ticks)
-    assert calls["leader"] == pytest.approx(frames)
-    assert calls["metrics"] == pytest.approx(2)  # a full block, and the rest for the summary
-    assert calls["control"] == pytest.approx(frames)
-    assert calls["sensing"] == 0.0  # exact estimates
-    assert calls["air"] == 0.0  # still air
-    assert min(calls[part] for part in ("properties", "network", "events")) >= frames
-    assert max(calls, key=calls.__getitem__) == "loop"  # between any two parts
+def test_turn_measures_all_flights(benchmark):
+    """At the own rate, at that of the bare loop, and without a log; the bare loop at 200 Hz."""
+    ratio = benchmark("full_over_bare")
+    scenario = set_duration(load_scenario("simulation-3"), 2.0)
+    found = ratio.turn(scenario)
+    costs = found.bare, found.full, found.at_bare_hz, found.no_log
+    assert all(each.wall_s > 0.0 and each.processor_s > 0.0 for each in costs)
+    assert found.build_s > 0.0
+    quick = ratio.at_rate(scenario, 200, log=False)
+    assert quick.rates.physics_hz == 200 and not quick.log.mcap
+    lost = set_duration(load_scenario("simulation-3", ["leader.start.altitude_m=16"]), 20.0)
+    with pytest.raises(SystemExit, match="a lost aircraft costs nothing"):
+        ratio.full(lost)
 
 
 @pytest.mark.parametrize("count", [1, 2, 5])

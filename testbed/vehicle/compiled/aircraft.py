@@ -48,6 +48,8 @@ class CompiledAircraft:
         source: of the module with the entry.
     """
 
+    CONSTANT = True
+
     def __init__(
         self, folder: Path, model: JsbsimModel, integrators: Integrators = INTEGRATORS
     ) -> None:
