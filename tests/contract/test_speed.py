@@ -27,7 +27,7 @@ def test_turn_measures_all_flights(benchmark):
     assert found.build_s > 0.0
     quick = ratio.at_rate(scenario, 200, log=False)
     assert quick.rates.physics_hz == 200 and not quick.log.mcap
-    lost = set_duration(load_scenario("simulation-3", ["leader.start.altitude_m=16"]), 20.0)
+    lost = set_duration(load_scenario("simulation-3", ["limits.collision_m=20"]), 10.0)
     with pytest.raises(SystemExit, match="a lost aircraft costs nothing"):
         ratio.full(lost)
 
