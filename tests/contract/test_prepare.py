@@ -47,7 +47,8 @@ runs.Flight = Prepared
 name, duration, out = sys.argv[1:]
 scenario = load_scenario(name)
 if duration:
-    scenario = set_duration(scenario, float(duration))
+    begin = scenario.scenario.begin
+    scenario = set_duration(scenario, float(duration) + (begin.at_s if begin else 0.0))
 runs.run(scenario, out=out)
 print(json.dumps([len(prepared), sorted(each[:80] for each in signatures() - prepared)]))
 """
