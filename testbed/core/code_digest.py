@@ -18,7 +18,7 @@ _NUMBERS = (bool, int, float, complex, str, bytes, type(None), np.generic, np.dt
 
 
 class UnknownValueError(ValueError):
-    """A name in a kernel whose value has no digest; the text is the name."""
+    """A kernel reads a variable whose value has no digest; the text is the variable's name."""
 
 
 def code_digest(function: Callable[..., Any]) -> str:

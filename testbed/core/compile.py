@@ -218,7 +218,7 @@ def _cache_in(folder: Path, enable_caching: Callable[[], None], compiled: Any) -
 
 
 def _cache_by_name(folder: Path, enable_caching: Callable[[], None], compiled: Any) -> None:  # noqa: ANN401
-    """Keep machine code in this folder, where the function's name says what it consists of.
+    """Keep machine code in this folder under the function's name, which changes with its code.
 
     numba's key has the functions that it calls, which are new objects in each process.
     """

@@ -434,7 +434,7 @@ class Flight:
                 stage.then(now)
 
     def sample(self, now: float) -> Sample:
-        """Return the state at a tick that `ticks` has yielded, as views of the records.
+        """Return the state at the tick to which `fly_to` has flown, as views of the records.
 
         Args:
             now: its time, s.

@@ -148,13 +148,11 @@ class World:
         """What depends on the seed."""
         return self.air, self.estimators, self.formation.radio
 
-    def reseed(self, seed: int) -> bool:
-        """Let a world that has not flown yet fly with another seed; return whether it can."""
-        if self.make_of_seed is None:
-            return False
+    def reseed(self, seed: int) -> None:
+        """Let a world that has not flown yet fly with another seed; with `make_of_seed` only."""
+        assert self.make_of_seed is not None, "more depends on the seed"
         for made, own in zip(self.make_of_seed(seed), self.of_seed, strict=True):
             copy_state(made, own)
-        return True
 
     @property
     def formation(self) -> FormationParts:

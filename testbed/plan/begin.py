@@ -28,7 +28,7 @@ _last: list[_Prior] = []  # at most one: flights of a study begin alike
 def make_begin(
     scenario: Scenario, models: FlightModels | None, fly: Callable[[Scenario], Flight]
 ) -> Callable[[Flight], None] | None:
-    """Return what lets a flight begin as `scenario.begin` says; None: at 0 s.
+    """Return the function that begins a flight as `scenario.begin` says; None: it begins at 0 s.
 
     Args:
         scenario: of the flight.

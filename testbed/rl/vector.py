@@ -21,6 +21,7 @@ from testbed.rl.episodes import (
     CommandRange,
     Episodes,
     NoEpisodeError,
+    Slots,
     Vector,
     action_space,
     command_ranges,
@@ -123,13 +124,10 @@ class VectorEpisodes(VectorEnv[Any, Any, Any]):
         names, size = list(batch.names), len(batch)
         self._rows = np.array([names.index(each) for each in self.followers])
         trims = batch.commands[:, self._rows]
-        ranges = [
-            [
-                command_ranges(scenario, dict(zip(self.followers, row, strict=True)))[name]
-                for name in self.followers
-            ]
-            for scenario, row in zip(scenarios, trims.tolist(), strict=True)
-        ]
+        ranges = []
+        for scenario, row in zip(scenarios, trims.tolist(), strict=True):
+            own = command_ranges(scenario, dict(zip(self.followers, row, strict=True)))
+            ranges.append([own[name] for name in self.followers])
         self._ranges = CommandRange(*np.moveaxis(np.array(ranges), 2, 0))
         self._slots = slots_of(scenarios, self.followers)
         self._airspeeds = batch.aircraft["truth"]["airspeed"][:, self._rows].copy()
@@ -238,9 +236,11 @@ class VectorEpisodes(VectorEnv[Any, Any, Any]):
             of_ends = np.repeat(self._over, shape[1])
             self._begin(np.flatnonzero(self._over))
             self._over[:] = False
-            final = observations, {key: np.where(of_ends, infos[key], 0) for key in _SHOWN}
-            observations, infos = self._observe(), self._info(self._errors())
-            infos |= {"final_obs": final[0], "final_info": final[1]}
+            shown = {key: each for key, each in infos.items() if not key.startswith("_")}
+            final_info = {key: np.where(of_ends, each, 0) for key, each in shown.items()}
+            final_obs, observations = observations, self._observe()
+            infos = self._info(self._errors())
+            infos |= {"final_obs": final_obs, "final_info": final_info}
             infos |= {"_final_obs": of_ends, "_final_info": of_ends}
         flat = (each.reshape(-1) for each in (rewards, terminated, truncated))
         return observations, *flat, infos  # type: ignore[return-value]
@@ -268,7 +268,7 @@ class VectorEpisodes(VectorEnv[Any, Any, Any]):
         batch, flown = self.batch, self.flown
         at = flown[:, np.newaxis], self._rows
         followers = flown[:, np.newaxis], self._rows - 1
-        slots = type(self._slots)(*(each[flown] for each in self._slots))
+        slots = Slots(*(each[flown] for each in self._slots))
         observed = observe(
             batch.aircraft["estimate"][at],
             batch.links[followers],
@@ -294,9 +294,6 @@ class VectorEpisodes(VectorEnv[Any, Any, Any]):
             "start": np.repeat(self.flown, m),
         }
         return shown | {f"_{key}": np.ones(self.num_envs, dtype=bool) for key in shown}
-
-
-_SHOWN = ("time_s", "slot_error_m", "mean_slot_error_m", "rms_slot_error_m", "seed", "start")
 
 
 class HoldSlotVectorEnv(VectorEpisodes):

@@ -91,9 +91,9 @@ class FlightPool:
         """Fly groups of tasks and yield their results in the order in which they end.
 
         Tasks are taken from the iterables as workers become free: the next one of the group whose
-        task has ended, else the first of the next group, else one of a group that others fly. A
-        worker so flies tasks of one group one after another. A task whose worker process is killed
-        is flown once more; after `MAX_ATTEMPTS` it has failed.
+        task has ended, else the first of the next group, else one of a group that others fly. Thus
+        a worker flies the tasks of one group one after another. A task whose worker process is
+        killed is flown once more; after `MAX_ATTEMPTS` it has failed.
 
         Raises:
             KeyboardInterrupt: Ctrl-C or SIGTERM was received.

@@ -60,8 +60,8 @@ class LocalWorkers:
     def submit(self, task: FlightTask) -> Future[FlightResult]:
         """Run a task in a free process, which is started if necessary.
 
-        Of several free ones it is the first that became free: the pool submits tasks in the order
-        in which others have ended, each of the group whose last flight this process may have kept.
+        Of several free ones it is the first that became free. The pool submits tasks in the order
+        in which earlier ones ended, so that a process gets the next task of the group it has flown.
 
         Raises:
             InputError: no process can be started.
