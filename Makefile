@@ -119,11 +119,11 @@ bench: $(STAMP)
 
 include paper/targets.mk
 
-# Flies every row of the tables in docs/simulations.md, experiments.md, air.md, network.md and sensors.md,
+# Flies every row of the tables in docs/results/simulations.md, experiments.md, air.md, network.md and sensors.md,
 # and of those of the folder paper that are not studies, and writes them there.
 results: $(STAMP) freedoms leader-acceleration
-	@$(BIN)/python benchmarks/results.py --into docs/simulations.md $(ARGS)
-	@$(BIN)/python benchmarks/experiments.py --into docs/experiments.md $(ARGS)
+	@$(BIN)/python benchmarks/results.py --into docs/results/simulations.md $(ARGS)
+	@$(BIN)/python benchmarks/experiments.py --into docs/results/experiments.md $(ARGS)
 	@$(BIN)/python benchmarks/air.py --into docs/air.md $(ARGS)
 	@$(BIN)/python benchmarks/network.py --into docs/network.md $(ARGS)
 	@$(BIN)/python benchmarks/sensors.py --into docs/sensors.md $(ARGS)

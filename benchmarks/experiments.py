@@ -1,4 +1,4 @@
-"""Write the tables of docs/experiments.md.
+"""Write the tables of docs/results/experiments.md.
 
 usage: make results  (ARGS="--jobs N")
 """

@@ -1,4 +1,4 @@
-"""Write the tables of docs/simulations.md.
+"""Write the tables of docs/results/simulations.md.
 
 Flights are independent and fly on several processes. Nothing here depends on the clock: the same
 machine and versions give the same text.

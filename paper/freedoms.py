@@ -1,4 +1,4 @@
-"""Write the table of freedoms of docs/simulations.md: one changed choice per row.
+"""Write the table of freedoms of docs/results/simulations.md: one changed choice per row.
 
 usage: make results  (ARGS="--jobs N")
 """

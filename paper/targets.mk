@@ -7,9 +7,9 @@ PAPER = PYTHONPATH=benchmarks $(BIN)/python paper
 gap: $(STAMP)
 	@$(PAPER)/gap_budget.py --jobs $(JOBS) --into paper/gap.md $(ARGS)
 
-# Flies one row per choice that the paper leaves open: a table of docs/simulations.md.
+# Flies one row per choice that the paper leaves open: a table of docs/results/simulations.md.
 freedoms: $(STAMP)
-	@$(PAPER)/freedoms.py --into docs/simulations.md $(ARGS)
+	@$(PAPER)/freedoms.py --into docs/results/simulations.md $(ARGS)
 
 # Flies the set-ups of the simulations beside Table 1: the tables of paper/leader-acceleration.md.
 leader-acceleration: $(STAMP)

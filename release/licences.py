@@ -1,6 +1,6 @@
-"""Write docs/licences.md: licences of all installed packages, from their metadata.
+"""Write docs/contributing/licences.md: licences of all installed packages, from their metadata.
 
-usage: python release/licences.py > docs/licences.md
+usage: python release/licences.py > docs/contributing/licences.md
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ HEAD = """# Licences
 
 The testbed is under the MIT licence. This page lists the packages that pip installs with it
 and its extra `all`, with the licence in each package's metadata.
-`python release/licences.py > docs/licences.md` writes it.
+`python release/licences.py > docs/contributing/licences.md` writes it.
 
 | package | licence |
 |---|---|
@@ -42,7 +42,7 @@ FOOT = """
 JSBSim and pymavlink are libraries under the LGPL, used unmodified: each can be replaced by another
 version, as that licence requires. Of pymavlink only the generated message tables are imported,
 which are under the MIT licence. The sources of the aircraft are in their folders
-([Rascal](../aircraft/rascal110/SOURCE.md), [X8](../aircraft/skywalker_x8/SOURCE.md)).
+([Rascal](../../aircraft/rascal110/SOURCE.md), [X8](../../aircraft/skywalker_x8/SOURCE.md)).
 
 The compiled flight models (`testbed/vehicle/compiled`) are this project's own Python under the MIT
 licence, written from the equations of flight, JSBSim's documentation and the behaviour of release

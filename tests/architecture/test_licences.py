@@ -1,4 +1,4 @@
-"""Every installed package has a compatible licence, and docs/licences.md lists it."""
+"""Every installed package has a compatible licence, and docs/contributing/licences.md lists it."""
 
 import importlib
 import re
@@ -49,7 +49,7 @@ def test_locked_packages_have_compatible_licences(licences):
 
 
 def test_licences_page_matches_the_packages(licences):
-    page = (ROOT / "docs" / "licences.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "contributing" / "licences.md").read_text(encoding="utf-8")
     missing = set(licences.rows()) - set(page.splitlines())  # another Python may have fewer
-    assert not missing, "run python release/licences.py > docs/licences.md"
+    assert not missing, "run python release/licences.py > docs/contributing/licences.md"
     assert page.startswith(licences.HEAD) and page.endswith(licences.FOOT)

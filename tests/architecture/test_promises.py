@@ -1,15 +1,15 @@
-"""Every promise of docs/promises.md names an existing test."""
+"""Every promise of docs/contributing/promises.md names an existing test."""
 
 import ast
 import re
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-PROMISE = re.compile(r"^\| .+ \| \[[\w.]+\]\(\.\./(tests/[\w/]+\.py)\) `(\w+)` \|$")
+PROMISE = re.compile(r"^\| .+ \| \[[\w.]+\]\(\.\./\.\./(tests/[\w/]+\.py)\) `(\w+)` \|$")
 
 
 def test_every_promise_names_an_existing_test():
-    page = (ROOT / "docs" / "promises.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "contributing" / "promises.md").read_text(encoding="utf-8")
     lines = [
         line
         for line in page.splitlines()

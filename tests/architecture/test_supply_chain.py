@@ -171,7 +171,7 @@ def test_bill_lists_the_locked_packages(release):
         ]
         assert each["purl"] == each["bom-ref"] == f"pkg:pypi/{pin.name}@{pin.version}"
         assert each["licenses"] and each["type"] == "library"
-    page = (ROOT / "docs" / "licences.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "contributing" / "licences.md").read_text(encoding="utf-8")
     for each in bill["components"]:
         (licence,) = each["licenses"]
         name = licence.get("expression") or next(iter(licence["license"].values()))

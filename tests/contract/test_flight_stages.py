@@ -27,7 +27,7 @@ def stages_of(name):
 
 
 def test_documented_stages_are_those_of_the_flight():
-    text = (DOCS / "architecture.md").read_text(encoding="utf-8")
+    text = (DOCS / "contributing" / "architecture.md").read_text(encoding="utf-8")
     block = re.search(r"\$ testbed validate simulation-3 --stages\n(.*?)```", text, re.DOTALL)[1]
     rows = [tuple(re.split(r" {2,}", line)) for line in block.splitlines()[1:]]
     assert rows == stages_of("simulation-3")

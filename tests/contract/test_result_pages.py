@@ -34,7 +34,7 @@ ROOT = Path(__file__).parents[2]
 UAVS = ("uav1", "uav2", "uav3")
 WINDOWS = ("rectangles", "circles")
 PRINTED = 0.005 + 1e-3  # m: rounded to two digits, and the tolerance of golden tables
-EXPERIMENT_SEEDS = range(5)  # indices of the seeds of docs/experiments.md
+EXPERIMENT_SEEDS = range(5)  # indices of the seeds of docs/results/experiments.md
 
 
 def golden(scenario: str) -> dict[str, list[float]]:
@@ -85,7 +85,7 @@ def test_pasted_errors_equal_the_golden_table(scenario):
 
 def test_pasted_errors_of_experiments_are_golden():
     """Mean and range of five seeds."""
-    rows = table("docs/experiments.md", "window | follower | [HBH23], m | testbed, m | largest")
+    rows = table("docs/results/experiments.md", "window | follower | [HBH23], m | testbed, m | largest")
     assert len(rows) == 6
     for experiment, window, follower, _, cell, *_ in rows:
         by_seed = golden(experiment.lower().replace(" ", "-"))[f"rms_m/{window}/{follower}"]
@@ -126,7 +126,7 @@ def test_freedoms_have_the_noise_of_the_results():
 
 
 def test_experiments_page_has_rascals_of_simulation_3():
-    (row,) = (r for r in table("docs/experiments.md", "RMS error, m | laps") if "Rascals" in r[0])
+    (row,) = (r for r in table("docs/results/experiments.md", "RMS error, m | laps") if "Rascals" in r[0])
     expected = six(the_row(table(SIMULATIONS, PAPER), "Simulation 3", "profile `tuned`"))
     assert row[1:7] == expected
 
@@ -135,7 +135,7 @@ def test_experiments_page_has_rascals_of_simulation_3():
 
 
 def simulation_claims() -> Iterator[str]:
-    """Yield texts of docs/simulations.md."""
+    """Yield texts of docs/results/simulations.md."""
     scenario = load_scenario("simulation-3")
     path, windows = scenario.leader.path, scenario.scenario.windows
     square, high = path.legs[1].points_m, path.legs[2].points_m
@@ -199,7 +199,7 @@ def simulation_claims() -> Iterator[str]:
 
 
 def experiment_claims() -> Iterator[str]:
-    """Yield texts of docs/experiments.md."""
+    """Yield texts of docs/results/experiments.md."""
     each = [load_scenario(f"experiment-{n}") for n in (1, 2, 3)]
     one, two, three = each
     (k,) = {scenario.formation.k for scenario in each}
@@ -243,7 +243,7 @@ def rectangle(scenario: Any) -> tuple[float, float]:
     ("name", "claims"),
     [
         (SIMULATIONS, simulation_claims),
-        ("docs/experiments.md", experiment_claims),
+        ("docs/results/experiments.md", experiment_claims),
     ],
 )
 def test_prose_has_the_computed_numbers(name, claims):
@@ -263,7 +263,7 @@ def test_every_error_is_at_most_055_of_table_1():
 
 
 def test_rascal_turns_less_than_its_bank():
-    """docs/simulations.md: by 7 %, in a steady turn on the circle of Simulation 3."""
+    """docs/results/simulations.md: by 7 %, in a steady turn on the circle of Simulation 3."""
     circle = "levels: [{altitude_m: 100, turns: 5}]"
     scenario = load_scenario(
         "simulation-3",
