@@ -156,9 +156,9 @@ netem: $(STAMP)
 fly: $(STAMP)
 	@rm -rf build/flight && $(BIN)/python release/flight.py $(BIN)/formation-testbed build/flight
 
-# The site in build/site. Open its files, or serve them for the search: python -m http.server -d build/site
+# The site in build/site: open index.html there; the search works in files, too.
 docs: $(STAMP)
-	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
+	@$(BIN)/python website/build.py
 
 # Wheel, sdist, pins, bill of materials and checksums in dist/, built from the last commit, checked, and
 # flown from a new environment. TAG=v1.2.3 (environment) is compared with version and changelog.

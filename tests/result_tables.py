@@ -9,6 +9,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 MARKS = "†‡"  # of flights that were not completed
 SIMULATIONS = "docs/results/simulations.md"
+EXPERIMENTS = "docs/results/experiments.md"
 PAPER, CONDITIONS = "RMS error, m | numbers of", "Simulation 3, RMS error, m | profile"
 HARD_PATHS, FREEDOMS = "RMS error, m | profile | laps", "left open"
 Row = list[str]
@@ -50,7 +51,7 @@ def the_row(rows: list[Row], *start: str) -> Row:
 
 
 def six(cells: Row) -> Row:
-    """Return the cells of the followers of a row of docs/results/simulations.md, without the means."""
+    """Return the cells of the followers of a row of SIMULATIONS, without the means."""
     return [*cells[:3], *cells[4:7]]
 
 

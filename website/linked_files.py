@@ -8,12 +8,9 @@ from __future__ import annotations
 
 import posixpath
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-
-from mkdocs.config.defaults import MkDocsConfig
-from mkdocs.structure.files import File, InclusionLevel
 
 PREFIX = "repository"
 DOCS = "docs"
@@ -30,46 +27,45 @@ class LinkedFile:
     path: str
     content: str | bytes
 
-    def file(self, config: MkDocsConfig) -> File:
-        """Return it as a file of the site that need not be in the navigation."""
-        return File.generated(
-            config, address(self.path), content=self.content, inclusion=InclusionLevel.NOT_IN_NAV
-        )
 
-
-def find_linked(root: Path, docs: Path, pages: Iterable[str]) -> list[LinkedFile]:
+def find_linked(root: Path, pages: Iterable[str]) -> list[LinkedFile]:
     """Return every file and folder outside docs/ that these pages link to, directly or not.
 
     Args:
-        root: the repository.
-        docs: its folder of pages.
-        pages: their paths within it.
+        root: of the repository.
+        pages: their paths in the repository.
+
+    Raises:
+        ValueError: links lead to files that do not exist.
     """
     wanted: set[str] = set()
-    waiting = {f"{DOCS}/{page}": (docs / page).read_text(encoding="utf-8") for page in pages}
+    waiting = {page: (root / page).read_text(encoding="utf-8") for page in pages}
     texts: dict[str, str] = {}
+    broken: list[str] = []
     while waiting:
         source, text = waiting.popitem()
-        for target in targets(text, source):
+        for line, target in targets(text, source):
             path = root / target
-            if target.startswith(f"{DOCS}/") or target in wanted or not path.exists():
-                continue  # MkDocs reports broken links
-            wanted.add(target)
-            if path.is_file() and path.suffix == ".md":
-                texts[target] = waiting[target] = path.read_text(encoding="utf-8")
+            if target.startswith("../") or not path.exists():
+                broken.append(f"{source}:{line}: there is no {target} in the repository")
+            elif target not in wanted and not target.startswith(f"{DOCS}/"):
+                wanted.add(target)
+                if path.is_file() and path.suffix == ".md":
+                    texts[target] = waiting[target] = path.read_text(encoding="utf-8")
+    if broken:
+        raise ValueError("\n".join(sorted(broken)))
     return [
         LinkedFile(path, texts[path] if path in texts else folder_or_code(root, path, wanted))
         for path in sorted(wanted)
     ]
 
 
-def targets(text: str, source: str) -> set[str]:
-    """Return the paths in the repository that a page links to."""
-    return {
-        resolved(link[2], source)
-        for link in LINK.finditer(FENCE.sub("", text))
-        if "://" not in link[2]
-    }
+def targets(text: str, source: str) -> Iterator[tuple[int, str]]:
+    """Yield the links of a page to files: line, and path in the repository."""
+    blanked = FENCE.sub(lambda fence: "\n" * fence[0].count("\n"), text)
+    for link in LINK.finditer(blanked):
+        if "://" not in link[2]:
+            yield blanked[: link.start()].count("\n") + 1, resolved(link[2], source)
 
 
 def resolved(link: str, source: str) -> str:
@@ -101,25 +97,26 @@ def folder_or_code(root: Path, path: str, wanted: set[str]) -> str | bytes:
 
 
 def address(path: str) -> str:
-    """Return the path on the site, as a source of MkDocs, of a path in the repository."""
+    """Return the path on the site, as a Markdown file, of a path in the repository."""
     if path.startswith(f"{DOCS}/"):
         return path.removeprefix(f"{DOCS}/")
-    return f"{PREFIX}/{path}" if path.endswith((".md", PICTURE)) else f"{PREFIX}/{path}.md"
+    seen = "/".join(part.lstrip(".") for part in path.split("/"))  # Zensical skips hidden files
+    return f"{PREFIX}/{seen}" if path.endswith((".md", PICTURE)) else f"{PREFIX}/{seen}.md"
 
 
-def adapt_links(markdown: str, uri: str) -> str:
+def adapt_links(markdown: str, source: str) -> str:
     """Return a page with links to the repository replaced by their paths on the site.
 
     Args:
         markdown: the page.
-        uri: its path on the site.
+        source: its path in the repository.
     """
-    source = uri.removeprefix(f"{PREFIX}/") if uri.startswith(f"{PREFIX}/") else f"{DOCS}/{uri}"
+    folder = posixpath.dirname(address(source))
 
     def adapt(link: re.Match[str]) -> str:
         if "://" in link[2]:
             return link[0]
-        there = posixpath.relpath(address(resolved(link[2], source)), posixpath.dirname(uri))
+        there = posixpath.relpath(address(resolved(link[2], source)), folder or ".")
         return f"{link[1]}{there}{link[3] or ''}{link[4]}"
 
     parts, end = [], 0

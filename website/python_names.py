@@ -7,7 +7,7 @@ from pathlib import Path
 
 
 def markdown(module: Path) -> str:
-    """Return directives of mkdocstrings for the names in a package's `__all__`."""
+    """Return a line `::: NAME` for each of the names in a package's `__all__`."""
     tree = ast.parse(module.read_text(encoding="utf-8"))
     (names,) = (
         ast.literal_eval(node.value)

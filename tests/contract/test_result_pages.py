@@ -13,6 +13,7 @@ import pytest
 import yaml
 from result_tables import (
     CONDITIONS,
+    EXPERIMENTS,
     FREEDOMS,
     HARD_PATHS,
     MARKS,
@@ -85,7 +86,9 @@ def test_pasted_errors_equal_the_golden_table(scenario):
 
 def test_pasted_errors_of_experiments_are_golden():
     """Mean and range of five seeds."""
-    rows = table("docs/results/experiments.md", "window | follower | [HBH23], m | testbed, m | largest")
+    rows = table(
+        "docs/results/experiments.md", "window | follower | [HBH23], m | testbed, m | largest"
+    )
     assert len(rows) == 6
     for experiment, window, follower, _, cell, *_ in rows:
         by_seed = golden(experiment.lower().replace(" ", "-"))[f"rms_m/{window}/{follower}"]
@@ -126,7 +129,7 @@ def test_freedoms_have_the_noise_of_the_results():
 
 
 def test_experiments_page_has_rascals_of_simulation_3():
-    (row,) = (r for r in table("docs/results/experiments.md", "RMS error, m | laps") if "Rascals" in r[0])
+    (row,) = (r for r in table(EXPERIMENTS, "RMS error, m | laps") if "Rascals" in r[0])
     expected = six(the_row(table(SIMULATIONS, PAPER), "Simulation 3", "profile `tuned`"))
     assert row[1:7] == expected
 
@@ -243,7 +246,7 @@ def rectangle(scenario: Any) -> tuple[float, float]:
     ("name", "claims"),
     [
         (SIMULATIONS, simulation_claims),
-        ("docs/results/experiments.md", experiment_claims),
+        (EXPERIMENTS, experiment_claims),
     ],
 )
 def test_prose_has_the_computed_numbers(name, claims):

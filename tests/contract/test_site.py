@@ -3,6 +3,7 @@
 import html
 import json
 import os
+import posixpath
 import re
 import subprocess
 import sys
@@ -11,6 +12,7 @@ from pathlib import Path
 from urllib.parse import unquote
 
 import pytest
+from report_pages import CHROMIUM, NEEDS_CHROMIUM
 from typer.testing import CliRunner
 from waiting import TIMEOUT_S
 
@@ -31,38 +33,55 @@ HEAVY = {
     "rerun",
 }
 BUILD = """
-import json, logging, sys
-from mkdocs.commands.build import build
-from mkdocs.config import load_config
-logging.basicConfig(level="WARNING")
-config = load_config("mkdocs.yml", **json.loads(sys.argv[1]))
-config.plugins.on_startup(command="build", dirty=False)
-build(config)
+import json, sys
+sys.path.insert(0, "website")
+import build
+code = build.main()
 print(json.dumps(sorted(sys.modules)))
+sys.exit(code)
+"""
+CONFIG = """
+[project]
+site_name = "pages"
+docs_dir = "docs"
+site_dir = "site"
+use_directory_urls = false
+nav = ["index.md"]
 """
 
 
-def built(repository="", **changes):
-    """Build the site in a process with other settings; return the process."""
-    pytest.importorskip("mkdocs", reason="make setup installs it: the extra docs of pyproject.toml")
+def built(repository, into, **variables):
+    """Build the site of a repository into a folder; return the process."""
+    pytest.importorskip(
+        "zensical", reason="make setup installs it: the extra docs of pyproject.toml"
+    )
     return subprocess.run(
-        [sys.executable, "-c", BUILD, json.dumps(changes)],
+        [sys.executable, "-c", BUILD, str(repository), "--into", str(into)],
         cwd=ROOT,
-        env={**os.environ, "NO_MKDOCS_2_WARNING": "1", "PYTHONDONTWRITEBYTECODE": "1"}
-        | ({"REPOSITORY_URL": repository} if repository else {}),
+        env=os.environ | {"PYTHONDONTWRITEBYTECODE": "1"} | variables,
         capture_output=True,
         text=True,
         timeout=TIMEOUT_S,
     )
 
 
+@pytest.fixture
+def small(tmp_path):
+    """A repository with one page."""
+    (tmp_path / "docs").mkdir()
+    (tmp_path / "website").mkdir()
+    (tmp_path / "docs/index.md").write_text("# Page\n\n## Part\n")
+    (tmp_path / "website/zensical.toml").write_text(CONFIG)
+    return tmp_path
+
+
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
     """Where the site is, built strictly, and the modules that were loaded for it."""
     place = tmp_path_factory.mktemp("site")
-    done = built(site_dir=str(place))
+    done = built(ROOT, place)
     assert done.returncode == 0, done.stderr
-    return place, set(json.loads(done.stdout.splitlines()[-1]))
+    return place / "site", set(json.loads(done.stdout.splitlines()[-1]))
 
 
 class Page(HTMLParser):
@@ -98,15 +117,14 @@ def reference(site, name):
 
 def test_site_is_built_without_importing_the_product(site):
     _, modules = site
-    assert "griffe" in modules and "testbed.cli.main" in modules
+    assert {"griffe", "testbed.cli.main"} <= modules
     assert not HEAVY & modules
 
 
 def test_every_page_of_the_docs_is_in_the_navigation(site, pages):
     place, _ = site
-    navigation = {link.partition("#")[0] for link in pages[place / "index.html"].links} | {
-        "index.html"
-    }
+    links = pages[place / "index.html"].links
+    navigation = {"index.html"} | {posixpath.normpath(link.partition("#")[0]) for link in links}
     docs = ROOT / "docs"
     ours = {path.relative_to(docs).with_suffix(".html") for path in docs.rglob("*.md")}
     assert len(ours) >= 20
@@ -216,34 +234,84 @@ def test_reference_has_the_public_names(site):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        (
-            "[a](nowhere.md), [b](../testbed/nowhere.py), [c](#nobody)",
-            ("'nowhere.md'", "testbed/nowhere.py", "'#nobody'"),
-        ),
-        ("<!-- made: everything -->", ("no generator for 'everything'",)),
+        ("[a](nowhere.md)", "docs/index.md:3: there is no docs/nowhere.md"),
+        ("```text\n\n```\n[a](../testbed/x.py)", "docs/index.md:6: there is no testbed/x.py"),
+        ("![a](images/x.png)", "docs/index.md:3: there is no docs/images/x.png"),
+        ("[a](../../x.md)", "docs/index.md:3: there is no ../x.md in the repository"),
+        ("[a](#nobody)", "index.md:3"),  # by Zensical
+        ("[a](index.md#nobody)", "index.md:3"),
+        ("<!-- made: everything -->", "docs/index.md: no generator for 'everything'"),
+        ("::: testbed.Nobody", "docs/index.md: there is no testbed.Nobody"),
     ],
 )
-def test_a_page_that_leads_nowhere_is_an_error(tmp_path, text, said):
-    docs = tmp_path / "docs"
-    docs.mkdir()
-    (docs / "index.md").write_text(f"# Page\n\n{text}\n")
-    done = built(docs_dir=str(docs), site_dir=str(tmp_path / "site"), nav=None, plugins=[])
-    assert done.returncode != 0
-    for each in said:
-        assert each in done.stderr
+def test_a_page_that_leads_nowhere_is_an_error(small, text, said):
+    page = small / "docs/index.md"
+    page.write_text(f"# Page\n\n{text}\n")
+    done = built(small, small / "build")
+    assert done.returncode == 2
+    assert said in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_navigation_and_pages_must_agree(small):
+    (small / "docs/other.md").write_text("# Other\n")
+    done = built(small, small / "build")
+    assert (done.returncode, "nav lacks other.md" in done.stderr) == (2, True)
+    (small / "docs/other.md").rename(small / "docs/index.md")
+    config = small / "website/zensical.toml"
+    config.write_text(CONFIG.replace('"index.md"', '"index.md", "other.md"'))
+    done = built(small, small / "build")
+    assert (done.returncode, "nav has other.md: no page" in done.stderr) == (2, True)
 
 
 @pytest.mark.parametrize("repository", ["", "https://git.example/group/testbed"])
-def test_pages_link_to_the_repository_if_it_is_known(tmp_path, repository):
-    docs, made = tmp_path / "docs", tmp_path / "site"
-    docs.mkdir()
-    (docs / "index.md").write_text("# Page\n")
-    nav = [{"Page": "index.md"}]
-    done = built(repository, docs_dir=str(docs), site_dir=str(made), nav=nav, plugins=[])
+def test_pages_link_to_the_repository_if_it_is_known(small, repository):
+    done = built(small, small / "build", REPOSITORY_URL=repository)
     assert done.returncode == 0, done.stderr
-    text = (made / "index.html").read_text(encoding="utf-8")
+    text = (small / "build/site/index.html").read_text(encoding="utf-8")
     assert ("md-source__repository" in text) is bool(repository)
     assert not repository or repository in Page(text).links
+
+
+def test_search_has_every_page(site, pages):
+    """Those of the navigation; copies of code are left out."""
+    place, _ = site
+    index = json.loads((place / "search.json").read_text(encoding="utf-8"))
+    found = {item["location"].partition("#")[0] for item in index["items"]}
+    written = {path.relative_to(place).as_posix() for path in pages}
+    assert {each for each in written if not each.startswith("repository/")} <= found
+    assert "repository/index.html" in found  # README.md
+    assert not [each for each in found if each.endswith((".py.html", ".yaml.html"))]
+    offline = (place / "search.js").read_text(encoding="utf-8")
+    assert offline.startswith("var __index = {")
+
+
+def test_search_runs_in_pages_opened_as_files(tmp_path):
+    """Its worker's script runs in a frame: messages arrive in order, as copies."""
+    if CHROMIUM is None:
+        pytest.skip(NEEDS_CHROMIUM)
+    (tmp_path / "worker.js").write_text(
+        "self.addEventListener('message', e => { e.data.n *= 2; self.postMessage(e.data); });"
+    )
+    (tmp_path / "page.html").write_text(f"""<!doctype html><body>
+<script>{(ROOT / "website/iframe-worker.js").read_text(encoding="utf-8")}</script>
+<script>
+const given = {{n: 21}}, worker = new Worker("worker.js"), answers = [];
+worker.onmessage = e => {{
+  answers.push(e.data.n);
+  if (answers.length === 1) worker.postMessage({{n: 4}});
+  document.title = `answers ${{answers}} of ${{given.n}}`;
+}};
+worker.postMessage(given);
+</script>""")
+    done = subprocess.run(
+        [CHROMIUM, "--headless", "--no-sandbox", "--virtual-time-budget=5000", "--dump-dom"]
+        + [f"--user-data-dir={tmp_path / 'profile'}", (tmp_path / "page.html").as_uri()],
+        capture_output=True,
+        text=True,
+        timeout=TIMEOUT_S,
+    )
+    assert "<title>answers 42,8 of 21</title>" in done.stdout
 
 
 def test_long_commands_are_broken(site):
