@@ -30,13 +30,13 @@ MARKUP: Final = "rich"
 PANELS: Final[Mapping[str, Mapping[str, str]]] = {
     "Fly": {
         "run": "run",
-        "validate": "scenario",
+        "validate": "validate",
         "list": "scenario",
         "law": "law",
         "margins": "margins",
         "network": "network",
         "air": "air",
-        "schema": "scenario",
+        "schema": "validate",
     },
     "Look": {
         "view": "view",

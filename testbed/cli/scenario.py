@@ -1,36 +1,25 @@
-"""The commands that read scenarios without running them: validate, list, schema."""
+"""The command that lists what can be used by name: scenarios, studies, aircraft, runs."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import Annotated, Any, Final
 
 import typer
 from rich.table import Table
 
-from testbed.cli.options import (
-    JsonFile,
-    Overrides,
-    ScenarioName,
-    error_places,
-    load_scenario,
-)
-from testbed.cli.output import result_console, write_json_output
-from testbed.core.errors import InputError, escape_controls
+from testbed.cli.options import JsonFile
+from testbed.cli.output import PipeSafeConsole, result_console, write_json_output
+from testbed.core.errors import InputError
 from testbed.core.files import format_bytes
 
-if TYPE_CHECKING:
-    from testbed.flight.world import World
-    from testbed.scenario import Scenario
-
-MAX_LINE = 38  # characters, which leave the table of `testbed list` within 80 columns
-
+# What each scenario shows, in at most 36 characters, which leave the table within 80 columns.
 GROUPS: Final[Mapping[str, Mapping[str, str]]] = {
     "start here": {
         "simulation-3": "the paper's formation of three",
-        "simulation-3-pixhawk": "the same with hobby sensors and an EKF",
+        "simulation-3-pixhawk": "the same with hobby sensors, an EKF",
         "packet-loss-30": "the same with 30 % of messages lost",
         "engine-out-uav2": "an aircraft loses its engine",
     },
@@ -38,7 +27,7 @@ GROUPS: Final[Mapping[str, Mapping[str, str]]] = {
         "simulation-1": "leader's position for uav1 only",
         "simulation-2": "position of the aircraft ahead only",
         "experiment-1": "two Skywalker X8s at 10 Hz, in wind",
-        "experiment-2": "three X8s, above and below the leader",
+        "experiment-2": "X8s above and below their leader",
         "experiment-3": "the same with the horizontal law",
         "ideal-figure-eight": "the law on its own unicycle model",
     },
@@ -58,11 +47,11 @@ GROUPS: Final[Mapping[str, Mapping[str, str]]] = {
         "telemetry-radio": "one shared radio with MAVLink frames",
         "partition-and-heal": "formation divided, then whole again",
         "leader-silent": "no messages from the leader",
-        "late-radio-loss": "half of the messages lost from 300 s on",
+        "late-radio-loss": "half of the messages lost from 300 s",
     },
     "wind": {
         "wind-8ms": "steady wind of 8 m/s",
-        "turbulence-moderate": "moderate turbulence, one field for all",
+        "turbulence-moderate": "moderate turbulence, a common field",
         "gust-front": "a gust front crosses the formation",
         "close-formation-wake": "followers in the leader's wake",
     },
@@ -72,10 +61,10 @@ GROUPS: Final[Mapping[str, Mapping[str, str]]] = {
     },
     "your own law": {
         "own-law-leader-follower": "a textbook leader-follower law",
-        "own-law-integral": "integral action around the paper's law",
+        "own-law-integral": "integral action and the paper's law",
         "own-law-repulsion": "repulsion between two aircraft",
         "own-functions": "a control function and a barrier",
-        "ideal-own-speed-model": "ideal vehicles with drag and a propeller",
+        "ideal-own-speed-model": "ideal vehicles, drag and a propeller",
     },
     "other fleets": {
         "hold-slot": "one follower, for training policies",
@@ -85,13 +74,29 @@ GROUPS: Final[Mapping[str, Mapping[str, str]]] = {
     },
 }
 OTHERS: Final = "others"  # the group of scenarios that are in no other
+# The names that `testbed list` shows without --all.
+FIRST: Final = (
+    "simulation-3",
+    "simulation-3-pixhawk",
+    "packet-loss-30",
+    "simulation-3-latency",
+    "bursty-wifi",
+    "turbulence-moderate",
+    "gust-front",
+    "engine-out-uav2",
+    "own-law-leader-follower",
+    "experiment-2",
+    "mixed-fleet",
+    "vee-30",
+)
+FIRST_STUDIES: Final = ("what-matters-most", "radio-and-wind")
 
 STUDIES: Final[Mapping[str, str]] = {
     "radio-and-wind": "loss and wind together",
     "what-matters-most": "delay, loss, wind and gusts compared",
     "convergence": "rates of the flight models",
-    "convergence-seeds": "the same, in turbulence and saturation",
-    "convergence-others": "rates of autopilots, control, samples",
+    "convergence-seeds": "the same in turbulence, saturation",
+    "convergence-others": "rates of autopilot, control, samples",
     "leader-acceleration": "the leader's acceleration, estimated",
     "leader-turn-acceleration": "differences of the turn rates",
     "table-1": "the set-up that gives Table 1",
@@ -100,80 +105,16 @@ STUDIES: Final[Mapping[str, str]] = {
     "table-1-laps": "leader's acceleration left out",
     "table-1-authors": "the authors' gains with old states",
     "joint-fit": "sets of numbers that give Table 2",
-    "as-flown": "the experiments, one set of parameters",
+    "as-flown": "experiments, one set of parameters",
     "turn-direction": "the leader turns the other way",
     "gap-budget-0": "the aircraft alone, without troubles",
-    "gap-budget-1": "reasons for the errors of experiment 1",
-    "gap-budget-2": "reasons for the errors of experiment 2",
-    "gap-budget-3": "reasons for the errors of experiment 3",
+    "gap-budget-1": "reasons for errors of experiment 1",
+    "gap-budget-2": "reasons for errors of experiment 2",
+    "gap-budget-3": "reasons for errors of experiment 3",
 }
 TUNES: Final[Mapping[str, str]] = {"x8-middle-loop": "gains of the X8's middle loop"}
 
-
 AIRCRAFT_WIDTH, TIME_WIDTH = 3, 7  # columns of `testbed list`
-
-
-def validate_command(
-    scenario: ScenarioName,
-    overrides: Overrides = None,
-    resolved: Annotated[
-        bool, typer.Option("--resolved", help="Print the scenario with every default written out.")
-    ] = False,
-    stages: Annotated[
-        bool, typer.Option("--stages", help="Print what a flight does at each tick, in order.")
-    ] = False,
-) -> None:
-    """Check a scenario without running it: its keys, aircraft, formation and control law.
-
-    Warns about each assumption of the paper that the scenario does not meet. Tests a control law of
-    your own with a few calls. Names the code and the programs that a run would start.
-    """
-    from testbed.plan.world import build
-    from testbed.scenario import dump
-
-    loaded = load_scenario(scenario, overrides)
-    with error_places(scenario, overrides):
-        world = build(loaded)
-    for event in world.initial_events:
-        typer.echo(escape_controls(f"{event.level}: {event.source}: {event.text}"), err=True)
-    for line in (*_programs(loaded), *_engines(world)):
-        typer.echo(escape_controls(line), err=True)
-    if stages:
-        _print_stages(world)
-    elif resolved:
-        typer.echo(dump(loaded))
-    else:
-        typer.echo(f"{scenario}: valid")
-
-
-def _engines(world: World) -> Iterator[str]:
-    """Describe what steps the flight models."""
-    if world.fleet is not None:
-        yield f"engine: {world.fleet.describe_engine()}"
-
-
-def _print_stages(world: World) -> None:
-    """Print the stages of a flight as a table."""
-    from testbed.runs.run import list_stages
-
-    rows = [("part", "when", "stage", "runs"), *list_stages(world)]
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    for row in rows:
-        cells = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
-        typer.echo("  ".join(cells).rstrip())
-
-
-def _programs(scenario: Scenario) -> Iterator[str]:
-    """Describe the programs that a run starts; laws are among the events."""
-    from testbed.autopilot.sitl_process import VARIABLE
-    from testbed.scenario.aircraft import ArduPlane
-
-    for aircraft in scenario.aircraft:
-        if isinstance(aircraft.autopilot, ArduPlane) and aircraft.autopilot.start:
-            yield (
-                f"info: {aircraft.name}: a run starts the program of --arduplane or {VARIABLE} "
-                f"({os.environ.get(VARIABLE) or 'not set'})"
-            )
 
 
 def list_command(
@@ -185,18 +126,21 @@ def list_command(
             show_default=False,
         ),
     ] = None,
+    everything: Annotated[
+        bool, typer.Option("--all", help="List every name, scenarios grouped by purpose.")
+    ] = False,
     runs: Annotated[
         bool,
         typer.Option("--runs", help="List the runs in logs/, or in the folder NAME, with sizes."),
     ] = False,
     json: JsonFile = None,
 ) -> None:
-    """List the scenarios, studies, tuning files and aircraft that can be used by name, or the runs.
+    """List the scenarios, studies, tuning files and aircraft to begin with, or the runs.
 
-    Scenarios are grouped by purpose, with the number of their aircraft and the simulated time.
+    Scenarios have the number of their aircraft and the simulated time. --json writes every name.
     """
-    from testbed.scenario import list_aircraft
-
+    if everything and (name is not None or runs):
+        raise InputError("--all: lists every name; leave out NAME and --runs")
     if runs:
         _list_runs(Path(name or "logs"), json)
         return
@@ -206,10 +150,17 @@ def list_command(
         _describe(name)
         return
     write_json_output(json, _names_document() if json else {})
-    console = result_console(json)
+    _list_names(result_console(json), everything)
+
+
+def _list_names(console: PipeSafeConsole, everything: bool) -> None:
+    """List the names to begin with, or all."""
+    from testbed.scenario import list_aircraft
+
     console.write_line("scenario, number of aircraft, simulated time, what it shows", "dim")
     console.print()
-    for title, table in (*_scenario_groups(), *_study_groups()):
+    groups = (_all_scenarios(), _all_studies()) if everything else (_first_names(),)
+    for title, table in chain(*groups):
         console.write_line(title, "bold")
         console.print(table)
         console.print()
@@ -217,9 +168,21 @@ def list_command(
     for each in list_aircraft():
         console.write_line(each)
     console.print()
+    if not everything:
+        console.write_line(_left_out(), "dim")
     console.write_line(
         "testbed list NAME prints its question; testbed run NAME flies a scenario.",
         "dim",
+    )
+
+
+def _left_out() -> str:
+    """Describe what a short list leaves out."""
+    from testbed.scenario import list_scenarios, list_studies
+
+    scenarios, studies = set(list_scenarios()) - {*FIRST}, set(list_studies()) - {*FIRST_STUDIES}
+    return (
+        f"testbed list --all has {len(scenarios)} more scenarios and {len(studies)} more studies."
     )
 
 
@@ -275,41 +238,76 @@ def _names_document() -> dict[str, Any]:
     }
 
 
-def _scenario_groups() -> Iterator[tuple[str, Table]]:
-    from testbed.scenario import list_scenarios, load_scenario
+def _first_names() -> Iterator[tuple[str, Table]]:
+    """Yield the tables of a short list: title, and names with what they show."""
+    lines = {name: line for group in GROUPS.values() for name, line in group.items()}
+    yield "scenarios (testbed run)", _scenario_table({name: lines[name] for name in FIRST})
+    # the numbers of runs are left out: to count them takes longer than all the rest
+    table = _plain_table(_name_width(), (AIRCRAFT_WIDTH + TIME_WIDTH + 1,))
+    for name in FIRST_STUDIES:
+        table.add_row(name, "", STUDIES[name])
+    yield "studies (testbed sweep)", table
+    yield _tuning_files()
 
-    names = list_scenarios()
+
+def _all_scenarios() -> Iterator[tuple[str, Table]]:
+    from testbed.scenario import list_scenarios
+
     grouped = {each for group in GROUPS.values() for each in group}
-    others = {each: "" for each in names if each not in grouped}
-    width = max(map(len, names), default=0)
+    others = {each: "" for each in list_scenarios() if each not in grouped}
     for title, group in {**GROUPS, OTHERS: others}.items():
-        table = _plain_table(width, (AIRCRAFT_WIDTH, TIME_WIDTH))
-        for name, line in group.items():
-            if name in names:
-                loaded = load_scenario(name)
-                duration = f"{loaded.scenario.duration_s:,.0f} s"
-                line = line or loaded.scenario.question
-                table.add_row(name, str(len(loaded.aircraft_names)), duration, line)
-        if table.row_count:
+        if (table := _scenario_table(group)).row_count:
             yield title, table
 
 
-def _study_groups() -> Iterator[tuple[str, Table]]:
-    from testbed.scenario import list_scenarios, list_studies, list_tunings
-    from testbed.studies.plan import Plan, load_study
-    from testbed.studies.tune_schema import load_tune
+def _scenario_table(group: Mapping[str, str]) -> Table:
+    """Return the table of the scenarios of a group that exist."""
+    from testbed.scenario import list_scenarios, load_scenario
 
-    width = max(map(len, list_scenarios()), default=0)
-    table = _plain_table(width, (AIRCRAFT_WIDTH + TIME_WIDTH + 1,))
+    names = list_scenarios()
+    table = _plain_table(_name_width(), (AIRCRAFT_WIDTH, TIME_WIDTH))
+    for name, line in group.items():
+        if name in names:
+            loaded = load_scenario(name)
+            duration = f"{loaded.scenario.duration_s:,.0f} s"
+            line = line or loaded.scenario.question
+            table.add_row(name, str(len(loaded.aircraft_names)), duration, line)
+    return table
+
+
+def _all_studies() -> Iterator[tuple[str, Table]]:
+    from testbed.scenario import list_studies
+    from testbed.studies.plan import Plan, load_study
+
+    table = _plain_table(_name_width(), (AIRCRAFT_WIDTH + TIME_WIDTH + 1,))
     for name in sorted(list_studies(), key=lambda each: (each not in STUDIES, each)):
         study = load_study(name)
         line = STUDIES.get(name) or study.config.study.question
         table.add_row(name, f"{len(Plan(study)):,} runs", line)
     yield "studies (testbed sweep)", table
-    table = _plain_table(width, ())
+    yield _tuning_files()
+
+
+def _tuning_files() -> tuple[str, Table]:
+    from testbed.scenario import list_tunings
+
+    table = _plain_table(_name_width(), ())
     for name in list_tunings():
-        table.add_row(name, TUNES.get(name) or load_tune(name).config.study.question)
-    yield "tuning files (testbed tune)", table
+        table.add_row(name, TUNES.get(name) or _tuning_question(name))
+    return "tuning files (testbed tune)", table
+
+
+def _tuning_question(name: str) -> str:
+    from testbed.studies.tune_schema import load_tune  # takes longer than the rest of a short list
+
+    return load_tune(name).config.study.question
+
+
+def _name_width() -> int:
+    """Return the width of the longest scenario's name, in characters."""
+    from testbed.scenario import list_scenarios
+
+    return max(map(len, list_scenarios()), default=0)
 
 
 def _plain_table(width: int, numbers: Sequence[int]) -> Table:
@@ -359,12 +357,3 @@ def _describe(name: str) -> None:
     console.write_line(name, "bold")
     console.print(table)
     console.write_line(f"{'file':<{width}}  {path}")
-
-
-def schema_command() -> None:
-    """Print the JSON schema of scenario files, for editors."""
-    import json
-
-    from testbed.scenario import json_schema
-
-    typer.echo(json.dumps(json_schema(), indent=2, ensure_ascii=False))

@@ -22,7 +22,7 @@ from typer.testing import CliRunner
 import testbed
 from testbed.cli.exit_codes import ExitCode
 from testbed.cli.main import app
-from testbed.cli.scenario import GROUPS, STUDIES, TUNES
+from testbed.cli.scenario import FIRST, FIRST_STUDIES, GROUPS, STUDIES, TUNES
 from testbed.logs.file_record import RECORD_NAME
 from testbed.scenario import list_scenarios, list_studies, list_tunings
 
@@ -112,22 +112,52 @@ def test_command_alone_in_a_process_prints_the_same(tmp_path, arguments):
     assert alone.stdout
 
 
-def test_list_begins_with_start_here(tmp_path):
-    """One line for each name in 80 columns, the first scenario to fly at the top; aircraft."""
+def listed_names(lines):
+    return [line.split()[0] for line in lines if line[:1].islower() and "  " in line]
+
+
+def test_list_has_a_dozen_scenarios(tmp_path):
+    """Each name in one line of 80 columns, the first to fly at the top; how many more there are."""
     lines = cli("list", cwd=tmp_path, columns=80).stdout.splitlines()
+    assert lines[lines.index("scenarios (testbed run)") + 1].startswith("simulation-3 ")
+    assert max(map(len, lines)) <= 80
+    assert not [line for line in lines if line.startswith(" ")]  # each in one line
+    assert listed_names(lines) == [*FIRST, *FIRST_STUDIES, *list_tunings()]
+    assert len(FIRST) == 12
+    assert "rascal110" in lines
+    scenarios, studies = len(list_scenarios()) - 12, len(list_studies()) - 2
+    said = f"testbed list --all has {scenarios} more scenarios and {studies} more studies."
+    assert said in lines
+
+
+def test_list_all_has_every_name(tmp_path):
+    lines = cli("list", "--all", cwd=tmp_path, columns=80).stdout.splitlines()
     first = lines.index("start here")
     assert lines[first + 1].startswith("simulation-3 ")
-    assert all(line.strip() for line in lines[first + 1 : lines.index("", first)])
+    assert all(line[:1].islower() for line in lines[first + 1 : lines.index("", first)])
     assert max(map(len, lines)) <= 80
-    listed = [line.split()[0] for line in lines if line[:1].islower() and "  " in line]
-    assert sorted(listed) == sorted([*list_scenarios(), *list_studies(), *list_tunings()])
+    assert not [line for line in lines if line.startswith(" ")]  # each in one line
+    names = [*list_scenarios(), *list_studies(), *list_tunings()]
+    assert sorted(listed_names(lines)) == sorted(names)
     assert "rascal110" in lines
+    for words in (("packet-loss-30",), ("--runs",)):
+        error = call_command("list", "--all", *words, cwd=tmp_path, code=2, columns=80).stderr
+        assert error == "error: --all: lists every name; leave out NAME and --runs\n"
 
 
 def test_each_scenario_is_in_one_group_of_list():
     grouped = [name for group in GROUPS.values() for name in group]
     assert sorted(grouped) == sorted(list_scenarios())
     assert set(STUDIES) == set(list_studies()) and set(TUNES) == set(list_tunings())
+
+
+def test_short_list_loads_no_numba(tmp_path):
+    code = (
+        "import sys; from testbed.cli.main import app; app(['list'], standalone_mode=False);"
+        "sys.exit('numba' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=ENV, capture_output=True)
+    assert done.returncode == 0, done.stderr
 
 
 def test_list_of_a_name_prints_question_and_file(tmp_path):
