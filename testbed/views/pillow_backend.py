@@ -109,6 +109,11 @@ def text_width(text: str, size: float = TEXT_SIZE) -> float:
     return float(ImageFont.load_default(size).getlength(text))
 
 
+def save_picture(file: BinaryIO, drawing: Drawing) -> None:
+    """Write a picture as PNG."""
+    drawing.finish().save(file, "PNG", optimize=True)
+
+
 def save_video(
     file: BinaryIO,
     kind: str,
