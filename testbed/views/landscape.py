@@ -15,11 +15,10 @@ from testbed.core.records import Array
 from testbed.views.annotations import Canvas, round_down
 from testbed.views.cameras import HALF_HEIGHT, CameraTrack, Lens
 from testbed.views.panels import Colour
+from testbed.views.scene import HAZE, SOIL
 
 ZENITH: Colour = (17, 24, 40)
 HORIZON: Colour = (86, 104, 126)
-HAZE: Colour = (66, 78, 80)  # of the ground at the horizon
-SOIL: Colour = (27, 37, 33)  # of the ground straight below
 LINE: Colour = (92, 112, 102)  # of the grid
 SKY_REACH, GROUND_REACH = 0.45, 0.60  # sine of the angle from the horizon to ZENITH and SOIL
 BROAD_EVERY = 5  # every fifth line of the grid is broad
