@@ -44,7 +44,7 @@ class PipProgress:
         """Take a line of pip's output."""
         if line.startswith("Ignoring "):  # for another system or Python
             self.total -= 1
-        elif line.startswith(("Collecting ", "Requirement already satisfied")):
+        elif line.startswith(("Collecting ", "Processing ", "Requirement already satisfied")):
             self._fetched, self._wheel = self._fetched + 1, ""
         elif found := WHEEL.search(line):
             self._wheel = f"{found[1]}, {found[2]}"
