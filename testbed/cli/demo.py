@@ -6,7 +6,6 @@ import shlex
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,6 +14,8 @@ import typer
 from testbed.cli.exit_codes import ExitCode
 from testbed.cli.output import describe_file, message_console, result_console
 from testbed.cli.progress import CompilingBar, ProgressBar, activity, progress_counter
+from testbed.cli.view import sigterm_interrupts
+from testbed.core.files import report_write_errors
 
 if TYPE_CHECKING:
     from testbed.cli.output import PipeSafeConsole
@@ -46,8 +47,9 @@ def demo_command(
     Takes less than a minute, and half a minute more the first time, which compiles kernels. Writes
     the files of a run, demo.mp4, demo.png and report.html to the folder.
     """
-    for each in ("pillow", "matplotlib"):  # what is not installed is named before the flight
-        import_module(f"testbed.views.{each}_backend")
+    # what is not installed is named before the flight
+    import testbed.views.matplotlib_backend
+    import testbed.views.pillow_backend  # noqa: F401
     from testbed.cli.report import REPORT_NAME
     from testbed.logs.file_record import record_files
     from testbed.logs.read import read_log
@@ -64,13 +66,15 @@ def demo_command(
         raise typer.Exit(run.exit_code)
     film, picture, report = (folder / each for each in ("demo.mp4", "demo.png", REPORT_NAME))
     log = read_log(folder / LOG_NAME)
-    with _phase(2, "film", messages):
+    with sigterm_interrupts(), _phase(2, "film", messages):
         _film(log, film)
-    with _phase(3, "picture", messages):
+    with _phase(3, "picture", messages), report_write_errors(picture):
         software_picture(picture, PICTURE_S, log, size=PICTURE_PX)
     with _phase(4, "report", messages), activity("report") as doing:
         doing("drawing figures")
-        write_page(run_page(read_run(str(folder))), report)
+        page = run_page(read_run(str(folder)))
+        with report_write_errors(report):
+            write_page(page, report)
     record_files(folder, film.name, picture.name, report.name)
     console.write_line(f" error    {_errors(run.metrics)}")
     for name, path in (("film", film), ("picture", picture), ("report", report)):
@@ -103,7 +107,7 @@ def _fly(scenario: Scenario, out: Path | None, messages: PipeSafeConsole) -> Run
 
 def _film(log: RunLog, path: Path) -> None:
     from testbed.cli.video import choose_frames
-    from testbed.core.files import report_write_errors, write_file
+    from testbed.core.files import write_file
     from testbed.views.pillow_backend import save_video
     from testbed.views.recorded_runs import scene_and_batch
     from testbed.views.video import FlightVideo

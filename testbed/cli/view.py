@@ -93,8 +93,9 @@ def shot_command(
     renderer: Annotated[
         Renderer | None,
         typer.Option(
+            metavar="rerun|software",
             help="What draws it: the Rerun viewer, with plots and events, or the program itself, "
-            "as in videos.  \\[default: rerun, or software where that cannot draw]"
+            "as in videos.  \\[default: rerun, or software where that cannot draw]",
         ),
     ] = None,
 ) -> None:

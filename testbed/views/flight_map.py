@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from testbed.core.records import Array
 from testbed.views.annotations import LOST, Canvas
@@ -26,7 +27,9 @@ LABEL_PX = 11.0  # size of these texts
 class FlightMap:
     """The whole flight from high in the south-west, at each frame."""
 
-    def __init__(self, scene: Scene, batch: ViewBatch, rows: Array, canvas: Canvas) -> None:
+    def __init__(
+        self, scene: Scene, batch: ViewBatch, rows: NDArray[np.intp], canvas: Canvas
+    ) -> None:
         """Prepare the camera.
 
         Args:

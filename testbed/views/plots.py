@@ -84,8 +84,13 @@ def _with_median(plot: TimePlot) -> TimePlot:
         return replace(plot, series=(thin, *plot.series[1:]))
 
     def median(batch: ViewBatch) -> Array:
-        known = np.ma.masked_invalid(first.values(batch))
-        middle: Array = np.ma.median(known, axis=1).filled(np.nan)[:, None]
+        # by sorting, which puts NaN last
+        ordered = np.sort(first.values(batch), axis=1)
+        count = np.isfinite(ordered).sum(axis=1)
+        rows = np.arange(len(ordered))
+        low, high = np.maximum(count - 1, 0) // 2, count // 2
+        values = 0.5 * (ordered[rows, low] + ordered[rows, np.minimum(high, ordered.shape[1] - 1)])
+        middle: Array = np.where(count > 0, values, np.nan)[:, None]
         return middle
 
     middle = PlotSeries("median", ("median",), (MEDIAN,), median, width=2.0)

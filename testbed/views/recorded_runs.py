@@ -97,7 +97,7 @@ def screenshot(
     progress("starting the Rerun viewer")
     with headless_viewer(size, limit_s=LIMIT_S) as port:
         viewer = RemoteViewer(port, scene.recording_id)
-        viewer.wait_until_drawn()
+        viewer.wait_until_drawn(LIMIT_S)
         greeting_ends = time.monotonic() + GREETING_S
         progress("sending the flight to the Rerun viewer")
         recording = RerunRecording(scene, live=False, at_s=at_s, framing=framing)
@@ -108,7 +108,7 @@ def screenshot(
         viewer.hide_menu()
         progress("the Rerun viewer draws")
         time.sleep(max(DRAWN_S, greeting_ends - time.monotonic()))
-        picture, complaints = viewer.screenshot()
+        picture, complaints = viewer.screenshot(LIMIT_S)
         recording.close()
     with write_file(path) as file:
         file.write(picture)

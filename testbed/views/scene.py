@@ -191,10 +191,11 @@ def ground(paths: Sequence[Array]) -> Ground:
     high = np.ceil((flat.max(axis=0) + GRID_MARGIN) / GRID_STEP) * GRID_STEP
     north = np.arange(low[0], high[0] + 1.0, GRID_STEP)
     east = np.arange(low[1], high[1] + 1.0, GRID_STEP)
-    between: list[Array] = [np.empty(0), np.empty(0)]
+    fine: tuple[Array, ...] = ()
     if max(len(north), len(east)) <= MAX_FINE_STEPS:
         inside = GRID_STEP / FINE_PER_STEP * np.arange(1, FINE_PER_STEP)
-        between = [(each[:-1, None] + inside).ravel() for each in (north, east)]
+        between_north, between_east = ((at[:-1, None] + inside).ravel() for at in (north, east))
+        fine = _grid(between_north, between_east, low, high)
     # labels on the two edges nearest to the overview camera, of every second line or fewer
     step = max(2, -(-max(len(north), len(east)) // MAX_LABELS))
     aside = 0.03 * float(np.max(high - low))
@@ -204,7 +205,7 @@ def ground(paths: Sequence[Array]) -> Ground:
     tops = path[posts] if len(path) else path
     return Ground(
         lines=_grid(north, east, low, high),
-        fine=_grid(*between, low, high),
+        fine=fine,
         paths=tuple(subdivide(each) for each in paths),
         posts=np.stack([tops, tops * [1.0, 1.0, 0.0]], axis=1),
         label_positions=np.array([[n, e, 0.0] for n, e, _ in marks]),
