@@ -137,7 +137,7 @@ def _draw(
             if renderer is Renderer.RERUN:
                 error.add_note("Without a viewer: --renderer software")
                 raise
-            message_console().write_line(f"note: {error}. Drawn without it.", "yellow")
+            message_console().write_line(f"note: {error}; drawn by the software renderer", "yellow")
         else:
             return
     with activity("shot") as progress:

@@ -145,7 +145,7 @@ def headless_viewer(size: tuple[int, int], *, limit_s: float = math.inf) -> Iter
             if timed_out.is_set() or isinstance(error, TimeoutError):
                 limit = f" within {limit_s:g} s" if timed_out.is_set() else ""
                 raise ViewerUnavailableError(
-                    f"the Rerun viewer does not answer{limit}; is the machine busy?"
+                    f"the Rerun viewer does not answer{limit}: the machine may be busy"
                 ) from error
             if isinstance(error, OSError) and _ends(viewer):
                 raise ViewerUnavailableError(NO_DRIVER) from error

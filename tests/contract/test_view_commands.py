@@ -72,7 +72,11 @@ def test_shot_without_viewer_is_drawn_anyway(command, monkeypatch, tmp_path, pro
     monkeypatch.setattr(viewer, "rerun_program", lambda: str(broken) if program else None)
     shot = ("shot", "run.mcap", "--at", "2", "--size", "640x360", "--out", tmp_path / "it.png")
     output = command(*shot, code=0)
-    assert remedy in output and "Drawn without it" in output and "transport" not in output
+    assert (
+        remedy in output
+        and "drawn by the software renderer" in output
+        and "transport" not in output
+    )
     with Image.open(tmp_path / "it.png") as picture:
         assert picture.size == (640, 360)
     (tmp_path / "it.png").unlink()
