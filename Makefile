@@ -1,5 +1,5 @@
 # Two commands, on a machine with Python and make:
-#   make run     fly Simulation 3 and print its table      (ARGS="--duration 120" for options)
+#   make run     fly the first minute of Simulation 3      (ARGS="--duration 1080" for all of it)
 #   make test    lint, types and tests
 # The first of them creates .venv from requirements.lock. PYTHON=/path/to/python picks another one.
 
@@ -12,6 +12,7 @@ ARGS ?=
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+COMPILED := $(VENV)/.compiled
 CLIENTS := .venv-clients
 CLIENTS_STAMP := $(CLIENTS)/.installed
 TRAINING := .venv-training
@@ -29,8 +30,9 @@ help:
 setup: $(STAMP)
 	@:
 
-run: $(STAMP)
-	@$(BIN)/testbed run scenarios/simulation-3.yaml $(ARGS)
+run: $(COMPILED)
+	@echo "fly: Simulation 3" >&2
+	@$(BIN)/testbed run scenarios/simulation-3.yaml $(or $(ARGS),--duration 60)
 
 # Kernels for the tests' flights are compiled once, in parallel with the checks that fly nothing.
 test:
@@ -196,6 +198,7 @@ clean:
 	@rm -rf $(VENV) $(CLIENTS) $(TRAINING) $(TOOLS) build dist .mypy_cache .pytest_cache .ruff_cache
 
 $(STAMP): requirements.lock pyproject.toml
+	@echo "install: the pinned packages into $(VENV); once, a minute or more" >&2
 	@set -e; \
 	fits='import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 14))'; \
 	if ! $(BIN)/python -c "$$fits" 2>/dev/null; then \
@@ -210,12 +213,18 @@ $(STAMP): requirements.lock pyproject.toml
 			echo "$$found cannot make environments: on Debian, apt-get install python3-venv" >&2; \
 			exit 2; }; \
 	fi; \
-	echo "Installing the pinned dependencies into $(VENV); once, a few minutes"; \
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check \
+	$(BIN)/python release/install.py requirements.lock \
+		$(BIN)/python -m pip install --disable-pip-version-check \
 		--require-hashes -r requirements.lock; \
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check \
 		--no-deps --no-build-isolation --editable .; \
 	touch $(STAMP)
+
+# What flights need is compiled before the first one, which then takes a second.
+$(COMPILED): $(STAMP)
+	@echo "compile: flight models, autopilots and the law; once, half a minute" >&2
+	@$(BIN)/python tests/warm.py first
+	@touch $(COMPILED)
 
 $(CLIENTS_STAMP): tests/clients/requirements.lock | $(STAMP)
 	@echo "Installing the MAVLink clients of the tests into $(CLIENTS); once, a minute"

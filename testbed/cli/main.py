@@ -29,6 +29,7 @@ MARKUP: Final = "rich"
 # Commands by panel of `testbed --help`, each with its module in this package.
 PANELS: Final[Mapping[str, Mapping[str, str]]] = {
     "Fly": {
+        "demo": "demo",
         "run": "run",
         "validate": "validate",
         "list": "scenario",
@@ -71,7 +72,7 @@ _OPTION_PANELS: Final[Mapping[str, Mapping[str, tuple[str, ...]]]] = {
     }
 }
 _WITH_EXIT_CODES: Final = (
-    "run", "view", "shot", "check", "compare", "sweep", "tune", "respond", "arduplane",
+    "demo", "run", "view", "shot", "check", "compare", "sweep", "tune", "respond", "arduplane",
 )  # fmt: skip
 
 

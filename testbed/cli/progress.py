@@ -8,7 +8,16 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    ProgressColumn,
+    SpinnerColumn,
+    Task,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 from rich.text import Text
 
 from testbed.core.compile import NOTICE
@@ -147,3 +156,28 @@ def progress_counter(
             bar.update(task, completed=done, total=total)
 
         yield update
+
+
+@contextmanager
+def activity(label: str) -> Iterator[Callable[[str], None]]:
+    """Show on standard error, if that is a terminal, what is being done and for how long.
+
+    Args:
+        label: before the words.
+
+    Yields:
+        A function that is called with what is done next, in words.
+    """
+    console = Console(stderr=True)
+    line = Progress(
+        SpinnerColumn("line"),
+        TextColumn("[bold]{task.description}"),
+        TextColumn("{task.fields[doing]}"),
+        TimeElapsedColumn(),
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,
+    )
+    with line:
+        task = line.add_task(label, doing="")
+        yield lambda doing: line.update(task, doing=doing)

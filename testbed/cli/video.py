@@ -89,7 +89,7 @@ def video_command(
     log = read_shown_log(run)
     check_follow(follow, log.info.names)
     scene, batch = scene_and_batch(log, follow=follow)
-    frames = _frames(batch.time, begin, end, speed, fps)
+    frames = choose_frames(batch.time, begin, end, speed, fps)
     video = FlightVideo(scene, batch, frames, pixels)
     total = len(frames)
     with (
@@ -109,10 +109,20 @@ def video_command(
     message_console().write_line(describe_file(out, length))
 
 
-def _frames(
+def choose_frames(
     time: Array, begin: float | None, end: float | None, speed: float | None, fps: int
 ) -> NDArray[np.intp]:
     """Choose the samples that are drawn.
+
+    Args:
+        time: (K,) s, of the samples.
+        begin: s; None: the first.
+        end: s; None: the last.
+        speed: seconds of the run per second; None: 1, or more for a video of `LENGTH_S`.
+        fps: pictures per second.
+
+    Returns:
+        Their indices (F,), ascending.
 
     Raises:
         InputError: there are fewer than two or too many, or the run does not have these times.

@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -23,12 +24,19 @@ from testbed.cli.options import (
     parse_pixels,
 )
 from testbed.cli.output import describe_file, is_stdout, message_console
-from testbed.core.errors import InputError
+from testbed.core.errors import InputError, MissingExtraError
 from testbed.core.files import report_write_errors
 
 if TYPE_CHECKING:
     from testbed.logs.read import RunLog
     from testbed.views import LiveViewer
+
+
+class Renderer(StrEnum):
+    """What draws a picture."""
+
+    RERUN = "rerun"
+    SOFTWARE = "software"
 
 
 def view_command(
@@ -79,17 +87,23 @@ def shot_command(
         typer.Option(metavar="SECONDS", help="Time of the run.  \\[default: its end]"),
     ] = None,
     size: Annotated[
-        str, typer.Option(metavar="WIDTHxHEIGHT", help="Size of the viewer's window, pixels.")
+        str, typer.Option(metavar="WIDTHxHEIGHT", help="Size of the picture, pixels.")
     ] = "1920x1080",
     follow: Follow = None,
+    renderer: Annotated[
+        Renderer | None,
+        typer.Option(
+            metavar="rerun|software",
+            help="What draws it: the Rerun viewer, with plots and events, or the program itself, "
+            "as in videos.  \\[default: rerun, or software where that cannot draw]",
+        ),
+    ] = None,
 ) -> None:
     """Save a picture of one run, or of two runs overlaid; needs no screen.
 
-    Needs a Vulkan driver; a software driver is enough: on Debian and Ubuntu, the package
-    mesa-vulkan-drivers.
+    The Rerun viewer needs a Vulkan driver; a software driver is enough: on Debian and Ubuntu, the
+    package mesa-vulkan-drivers. The software renderer needs none.
     """
-    from testbed.views import screenshot
-
     pixels = parse_pixels(size)
     if pixels is None:
         raise InputError(f"--size {size}: write WIDTHxHEIGHT in pixels, such as 1920x1080")
@@ -98,8 +112,37 @@ def shot_command(
     with sigterm_interrupts():
         at_s = _check_time(at, *logs)
         with report_write_errors(f"--out {out}"):
-            screenshot(out, at_s, *logs, size=pixels, follow=follow)
+            _draw(out, at_s, logs, pixels, follow, renderer)
     message_console().write_line(describe_file(out))
+
+
+def _draw(
+    out: Path,
+    at_s: float,
+    logs: Sequence[RunLog],
+    size: tuple[int, int],
+    follow: str | None,
+    renderer: Renderer | None,
+) -> None:
+    """Draw a picture, by the program itself where no viewer can and none is asked for."""
+    from testbed.cli.progress import activity
+    from testbed.views import screenshot, software_picture
+    from testbed.views.viewer import ViewerUnavailableError
+
+    if renderer is not Renderer.SOFTWARE:
+        try:
+            with activity("shot") as progress:
+                screenshot(out, at_s, *logs, size=size, follow=follow, progress=progress)
+        except (ViewerUnavailableError, MissingExtraError) as error:
+            if renderer is Renderer.RERUN:
+                error.add_note("Without a viewer: --renderer software")
+                raise
+            message_console().write_line(f"note: {error}; drawn by the software renderer", "yellow")
+        else:
+            return
+    with activity("shot") as progress:
+        progress("drawing")
+        software_picture(out, at_s, *logs, size=size, follow=follow)
 
 
 def overlay_runs(first: str, second: str, *, rrd: Path | None) -> None:

@@ -26,7 +26,6 @@ from testbed.views.panels import (
     Band,
     Line,
     Panel,
-    Panel3D,
     PanelGrid,
     Span,
     unique_values,
@@ -42,7 +41,7 @@ class FigureSpec:
 
     title: str
     caption: str
-    rows: Sequence[Sequence[Panel | Panel3D]]
+    rows: Sequence[Sequence[Panel]]
     height_in: float
     widths: Sequence[float] = ()  # of the columns, relative; empty: equal
     # whether the caption must name the followers that are drawn of many

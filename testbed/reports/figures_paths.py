@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from testbed.core.records import Array
+from testbed.core.velocity_frame import velocity_frame
 from testbed.reports.figure_spec import TIME_LABEL, FigureSpec, samples_on_axis
 from testbed.reports.plot_selection import (
     LEADER_COLOUR,
@@ -14,27 +14,23 @@ from testbed.reports.plot_selection import (
     follower_curves,
 )
 from testbed.reports.run_data import RunData
-from testbed.views.panels import DASHED, PATH, Curve3D, Line, Panel, Panel3D
+from testbed.views.panels import BLACK, DASHED, PATH, Line, Panel
 
 PATH_BUCKETS = 900  # more than of other curves: corners are short
 CORNER_S = 24.0
 LAP_MARKS = 12  # markers on each path of the first lap
-MIN_SPREAD = 0.03  # of the extent of the leader's path: closer curves cover each other
 
 
 def trajectory(run: RunData, selection: PlotSelection) -> FigureSpec:
-    """Draw paths with time as the vertical axis, and from above."""
+    """Draw paths from above, and the followers' positions relative to the leader."""
     log = run.log
     north, east = (np.where(log.lost, np.nan, log.truth.position_ned[..., k]) for k in (0, 1))
     aircraft = [(log.info.names[0], 0, LEADER_COLOUR, "")]
     aircraft += [(each.name, each.row + 1, each.colour, each.marker) for each in selection.drawn]
-    apart = _followers_apart(north, east)
-    paths, above = [], []
+    above = []
     for k, (name, row, colour, marker) in enumerate(aircraft):
         x, y = north[:, row], east[:, row]
         at = decimate(x, y, buckets=PATH_BUCKETS)
-        if apart or not k:
-            paths.append(Curve3D(y[at], x[at], log.time_s[at], colour))
         phase = k / len(aircraft)
         above.append(Line(y[at], x[at], colour, name, marker=marker, marker_phase=phase))
     commanded, grey = log.info.leader_path_ned, ""
@@ -43,33 +39,49 @@ def trajectory(run: RunData, selection: PlotSelection) -> FigureSpec:
         path = Line(commanded[:, 1], commanded[:, 0], PATH, "leader, path", width=3.5)
         above.insert(0, path)
         grey = "; grey: the leader's commanded path"
-    left = "paths" if apart else "the leader's path, which those of the followers would cover,"
-    space = Panel3D("over time", "east, m", "north, m", "time, s", paths)
-    plan = Panel("from above", "east, m", "north, m", above, equal=True)
+    plan = Panel("paths from above", "east, m", "north, m", above, equal=True)
+    if not run.followers:
+        caption = f"Paths from above, with equal scales{grey}."
+        return FigureSpec("Trajectories", caption, [[plan]], 5.6, needs_selection_note=False)
+    relative, note = _relative_to_leader(run, selection)
     return FigureSpec(
         "Trajectories",
-        f"Left: {left} in the horizontal plane with time as the vertical axis. Right: paths from"
-        f" above, with equal scales{grey}." + selection.worst_note,
-        [[space, plan]],
-        5.6,
-        (1.1, 1.0),
+        f"Left: paths from above, with equal scales{grey}. Middle and right: positions relative to"
+        f" the leader in the frame of its velocity, from above and from behind; crosses: the slots."
+        f"{note}" + selection.worst_note,
+        [[plan, *relative]],
+        5.0,
+        (1.25, 1.0, 1.0),
         needs_selection_note=False,
     )
 
 
-def _followers_apart(north: Array, east: Array) -> bool:
-    """Return whether followers can be distinguished from the leader at the scale of its path.
-
-    Args:
-        north: (K, N) m, NaN where an aircraft is lost.
-        east: (K, N) m.
-    """
-    distance = np.hypot(north[:, 1:] - north[:, :1], east[:, 1:] - east[:, :1])
-    known = distance[np.isfinite(distance)]
-    if not known.size:
-        return True
-    extent = max(float(np.nanmax(each) - np.nanmin(each)) for each in (north[:, 0], east[:, 0]))
-    return float(np.median(known)) > MIN_SPREAD * extent
+def _relative_to_leader(run: RunData, selection: PlotSelection) -> tuple[list[Panel], str]:
+    """Draw followers and slots beside the leader from two sides; and a note for the caption."""
+    log, position = run.log, run.log.truth.position_ned
+    with np.errstate(invalid="ignore", divide="ignore"):  # undefined for a leader at rest
+        frame = velocity_frame(log.truth.velocity_ned[:, 0]) * [1.0, 1.0, -1.0]  # up, not down
+    on_axis, note = samples_on_axis(run)
+    shown = (on_axis & ~run.without_slot)[..., None]
+    actual, slot = (
+        np.where(shown, (each - position[:, :1]) @ frame, np.nan)
+        for each in (position[:, 1:], log.formation.slot_ned)
+    )
+    panels = []
+    for title, axis, label in (("from above", 0, "forward, m"), ("from behind", 2, "up, m")):
+        here, name = np.zeros(1), log.info.names[0]
+        lines = [Line(here, here, LEADER_COLOUR, name, dots=True, marker="^")]
+        for each in selection.drawn:
+            x, y = actual[:, each.row, 1], actual[:, each.row, axis]
+            at = decimate(x, y, buckets=PATH_BUCKETS)
+            lines.append(Line(x[at], y[at], each.colour, each.name, 0.7))
+        for each in selection.drawn:
+            own = slot[np.isfinite(slot[:, each.row, 0]), each.row]
+            if len(own):
+                cross = np.median(own, axis=0)
+                lines.append(Line(cross[1:2], cross[[axis]], BLACK, dots=True, marker="x"))
+        panels.append(Panel(f"slots {title}", "right, m", label, lines, equal=True))
+    return panels, note
 
 
 def first_lap(run: RunData, selection: PlotSelection) -> FigureSpec | None:

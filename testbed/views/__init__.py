@@ -3,7 +3,7 @@
 Rerun is imported when a view is opened. No viewer, missing, slow or killed, changes a run.
 """
 
-from testbed.views.recorded_runs import replay, screenshot
+from testbed.views.recorded_runs import replay, screenshot, software_picture
 from testbed.views.view import FAST_HZ, InMemory, LiveViewer, RerunView, RrdFile, ViewTarget
 
 __all__ = [
@@ -15,4 +15,5 @@ __all__ = [
     "ViewTarget",
     "replay",
     "screenshot",
+    "software_picture",
 ]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from testbed.core.records import Array
 from testbed.views.batch import ViewBatch
 from testbed.views.cameras import HALF_HEIGHT, CameraTrack, flying_aircraft
-from testbed.views.scene import Scene
+from testbed.views.scene import MAX_SINGLE, Scene
 
 # entities in the frame of the formation
 ANNOTATIONS = ("links", "wind", "estimates")
@@ -84,9 +84,7 @@ class Links:
         return last
 
 
-MAX_NAMED = 12  # aircraft: in larger formations only some names fit
-MAX_ERROR_LABELS = 3  # followers whose errors are written beside their names
-MAX_NAMES = 40  # candidates at once; half of it in formations of more aircraft than that
+MAX_ERROR_LABELS = 3  # followers of a large formation that are named, with their errors
 TIE_PX = 20.0  # between an aircraft and its name, from which a line joins them
 EDGE_PX = 26.0  # from the edge of the picture to the arrow of an aircraft out of view
 BAR_SHARE = 0.22  # of the picture's width, at most, for the scale bar
@@ -262,19 +260,23 @@ def round_down(length: float) -> float:
 
 
 def _texts(scene: Scene, batch: ViewBatch, inside: Array) -> tuple[NDArray[np.intp], list[str]]:
-    """Order the aircraft inside the picture by error, and write their labels."""
+    """Order the aircraft inside the picture by error, and write their labels.
+
+    Of a large formation, the leader and the followers with the largest errors have labels.
+    """
     rows = np.array(scene.followers, dtype=np.intp)
     error = np.full(len(scene.names), -1.0)
     error[rows] = np.nan_to_num(np.linalg.norm(batch.error[0], axis=-1), nan=-1.0)
     order = np.argsort(np.where(inside, -error, np.inf), kind="stable")[: inside.sum()]
-    order = np.concatenate([order[order == 0], order[order != 0]])
-    order = order[: MAX_NAMES if len(scene.names) <= MAX_NAMES else MAX_NAMES // 2]
-    largest = set(order[order != 0][:MAX_ERROR_LABELS]) if len(scene.names) > MAX_NAMED else ()
-    return order, [
-        f"{scene.names[k]} {error[k]:.1f} m" if k in largest and error[k] >= 0.0
-        else scene.names[k]
-        for k in order
-    ]  # fmt: skip
+    leader, followers = order[order == 0], order[order != 0]
+    if len(scene.names) <= MAX_SINGLE:
+        return np.concatenate([leader, followers]), [scene.names[k] for k in (*leader, *followers)]
+    largest = followers[error[followers] >= 0.0][:MAX_ERROR_LABELS]
+    texts = [
+        *(scene.names[k] for k in leader),
+        *(f"{scene.names[k]} {error[k]:.1f} m" for k in largest),
+    ]
+    return np.concatenate([leader, largest]), texts
 
 
 def _edge_arrows(

@@ -62,8 +62,8 @@ class Lens:
         return distance
 
 
-# From behind; aimed below the formation, which is then in the upper half, above the ground.
-BEHIND = Lens((-0.86, 0.36, -0.40), (0.0, 0.0, 0.10), (0.0, 0.0, -1.0), aspect=1.6)
+# From behind, 19° down: the horizon is in the upper sixth of the picture, above the formation.
+BEHIND = Lens((-0.90, 0.33, -0.30), (0.0, 0.0, 0.03), (0.0, 0.0, -1.0), aspect=1.6)
 ABOVE = Lens((-0.001, 0.0, -1.0), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0), aspect=1.25)
 
 

@@ -10,7 +10,8 @@ import numpy as np
 from testbed.views.annotations import round_down
 from testbed.views.batch import ViewBatch
 from testbed.views.cameras import ABOVE, BEHIND, MIN_SPANS, Lens
-from testbed.views.scene import Scene, ground
+from testbed.views.panels import Colour
+from testbed.views.scene import SKY, SOIL, Scene, ground
 
 CHASE_TRAIL_S = 4.0
 OVERVIEW_TRAIL_S = 60.0
@@ -48,6 +49,7 @@ class View3D:
     excluded: tuple[str, ...]
     camera: Camera
     trail_s: float
+    background: Colour
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +99,7 @@ def views_3d(scene: Scene, framing: Framing) -> tuple[View3D, View3D, View3D]:
             ("world/ground/scale", "world/above/**", *posts),
             eye(BEHIND),
             CHASE_TRAIL_S,
+            SKY,
         ),
         View3D(
             "From above",
@@ -104,6 +107,7 @@ def views_3d(scene: Scene, framing: Framing) -> tuple[View3D, View3D, View3D]:
             ("world/ground/**", "world/behind/**", *posts),
             eye(ABOVE),
             CHASE_TRAIL_S,
+            SOIL,
         ),
         View3D(
             "Flight",
@@ -111,6 +115,7 @@ def views_3d(scene: Scene, framing: Framing) -> tuple[View3D, View3D, View3D]:
             ("world/slots/**", "world/chase/**", "world/behind/**", "world/above/**", *drawn),
             framing.overview,
             OVERVIEW_TRAIL_S,
+            SKY,
         ),
     )
 

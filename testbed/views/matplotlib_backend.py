@@ -13,7 +13,7 @@ import numpy as np
 
 from testbed.core.errors import needs_extra
 from testbed.core.files import write_file
-from testbed.views.panels import GREY, GRID, Heatmap, Line, Panel, Panel3D, PanelGrid
+from testbed.views.panels import GREY, GRID, Heatmap, Line, Panel, PanelGrid
 
 with needs_extra("report", "figures"):
     import matplotlib
@@ -29,7 +29,6 @@ with needs_extra("report", "figures"):
         NullFormatter,
         NullLocator,
     )
-    from mpl_toolkits.mplot3d import Axes3D
 
 DOTS_PER_INCH = 100  # of the layout
 PNG_DOTS_PER_INCH = 200
@@ -44,7 +43,6 @@ MIN_DEGREES = 45.0  # of an axis with them
 # Text on a cell, by its lightness; not exactly black and white, which a dark page inverts.
 ON_LIGHT, ON_DARK = "#010101", "#fefefe"
 POSITION_DECIMALS = 6  # of panels, in widths and heights of the figure
-CLEAR = (1.0, 1.0, 1.0, 0.0)
 # Without the date, the only thing that differs between two files of the same grid.
 UNDATED: dict[str, dict[str, Any]] = {
     ".png": {},
@@ -117,12 +115,8 @@ def _figure(content: PanelGrid, *, titled: bool) -> Figure:
     grid = figure.add_gridspec(len(content.rows), len(content.widths), width_ratios=content.widths)
     for i, panels in enumerate(content.rows):
         for k, panel in enumerate(panels):
-            if isinstance(panel, Panel3D):
-                ax: Any = figure.add_subplot(grid[i, k], projection=Axes3D.name)
-                _fill_3d(ax, panel)
-            else:
-                ax = figure.add_subplot(grid[i, k])
-                _fill(ax, panel)
+            ax = figure.add_subplot(grid[i, k])
+            _fill(ax, panel)
             for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
                 named.setdefault(label, handle)
     longest = max(map(len, named), default=0)
@@ -240,14 +234,3 @@ def _line_style(line: Line) -> dict[str, Any]:
         style |= {"marker": line.marker, "ms": 5.0, "mfc": "none"}
         style["markevery"] = (int(line.marker_phase * spacing), spacing)
     return style
-
-
-def _fill_3d(ax: Any, panel: Panel3D) -> None:  # noqa: ANN401 - mplot3d has no types
-    ax.set_title(panel.title, loc="left")
-    ax.locator_params(nbins=5)
-    ax.set(xlabel=panel.x_label, ylabel=panel.y_label, zlabel=panel.z_label)
-    ax.view_init(elev=24.0, azim=-58.0)
-    for axis in (ax.xaxis, ax.yaxis, ax.zaxis):
-        axis.set_pane_color(CLEAR)
-    for curve in panel.curves:
-        ax.plot(curve.x, curve.y, curve.z, color=curve.colour, lw=curve.width)

@@ -108,28 +108,6 @@ class Span:
 
 
 @dataclass(frozen=True, slots=True)
-class Curve3D:
-    """A curve in three dimensions; a panel beside it explains its colour."""
-
-    x: Array  # (k,)
-    y: Array  # (k,)
-    z: Array  # (k,)
-    colour: str
-    width: float = 1.0  # points
-
-
-@dataclass(frozen=True, slots=True)
-class Panel3D:
-    """Three axes, seen from above the nearest corner."""
-
-    title: str
-    x_label: str
-    y_label: str
-    z_label: str
-    curves: Sequence[Curve3D]
-
-
-@dataclass(frozen=True, slots=True)
 class Heatmap:
     """A grid of cells coloured by their values; the axes count cells from 0."""
 
@@ -175,7 +153,7 @@ class PanelGrid:
 
     title: str
     subtitle: str
-    rows: Sequence[Sequence[Panel | Panel3D]]
+    rows: Sequence[Sequence[Panel]]
     widths: Sequence[float]  # of the columns, relative
     inches: tuple[float, float] = (16.0, 10.0)  # width, height
 

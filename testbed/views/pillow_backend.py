@@ -33,9 +33,19 @@ Render = Callable[[int], "Drawing"]
 class Drawing:
     """A picture: first lines and triangles, then texts."""
 
-    def __init__(self, width: int, height: int, backdrop: Colour) -> None:
-        """Start with a backdrop; sizes and positions are pixels from the upper left corner."""
-        self.image = Image.new("RGB", (FINER * width, FINER * height), backdrop)
+    def __init__(self, width: int, height: int, backdrop: Colour | Pixels) -> None:
+        """Start with a backdrop; sizes and positions are pixels from the upper left corner.
+
+        Args:
+            width: pixels.
+            height: pixels.
+            backdrop: one colour, or those (FINER * height, 3) of the rows.
+        """
+        size = FINER * width, FINER * height
+        if isinstance(backdrop, tuple):
+            self.image = Image.new("RGB", size, backdrop)
+        else:
+            self.image = Image.fromarray(backdrop[:, None]).resize(size, Image.Resampling.NEAREST)
         self._draw: Any = ImageDraw.Draw(self.image)
         self._reduced = False
 
@@ -57,14 +67,21 @@ class Drawing:
         r = FINER * radius
         self._draw.ellipse([x - r, y - r, x + r, y + r], fill=colour)
 
-    def beside(self, other: Drawing, above: int) -> Drawing:
-        """Join with a picture of the same height on the right, below a line of a height."""
-        left, right = self.finish(), other.finish()
-        joined = Image.new("RGB", (left.width + right.width, above + left.height), BEHIND_TEXT)
-        joined.paste(left, (0, above))
-        joined.paste(right, (left.width, above))
+    def segments(self, ends: Array, colours: Pixels, widths: Array) -> None:
+        """Draw straight lines between ends (k, 2, 2), in this order."""
+        flat = (FINER * ends).reshape(len(ends), -1).tolist()
+        whole = np.maximum(np.round(FINER * widths), 1.0).astype(int).tolist()
+        for path, colour, width in zip(flat, colours.tolist(), whole, strict=True):
+            self._draw.line(path, fill=tuple(colour), width=width)
+
+    @staticmethod
+    def joined(width: int, height: int, parts: Sequence[tuple[Drawing, int, int]]) -> Drawing:
+        """Join finished pictures, each at its left and top, in one of this size."""
         both = Drawing(1, 1, BEHIND_TEXT)
-        both.image, both._draw, both._reduced = joined, ImageDraw.Draw(joined), True
+        both.image = Image.new("RGB", (width, height), BEHIND_TEXT)
+        for part, left, top in parts:
+            both.image.paste(part.finish(), (left, top))
+        both._draw, both._reduced = ImageDraw.Draw(both.image), True
         return both
 
     def text(
@@ -107,6 +124,11 @@ class Drawing:
 def text_width(text: str, size: float = TEXT_SIZE) -> float:
     """Measure a text, pixels."""
     return float(ImageFont.load_default(size).getlength(text))
+
+
+def save_picture(file: BinaryIO, drawing: Drawing) -> None:
+    """Write a picture as PNG."""
+    drawing.finish().save(file, "PNG", optimize=True)
 
 
 def save_video(

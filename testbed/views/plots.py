@@ -13,9 +13,10 @@ from testbed.views.annotations import STALE_S
 from testbed.views.batch import ViewBatch
 from testbed.views.panels import Colour, unique_values
 from testbed.views.quantities import PLOTTED
-from testbed.views.scene import BACKDROP, Scene, mix
+from testbed.views.scene import BACKDROP, MAX_SINGLE, Scene, mix
 
 LIMIT: Colour = (150, 150, 150)
+MEDIAN: Colour = (240, 240, 240)
 MAX_DESIRED = 8  # aircraft: of more, desired values are not drawn
 COURSE_RANGE = (-180.0, 180.0)  # deg
 
@@ -62,6 +63,41 @@ class TimePlot:
 
 def tabs(scene: Scene) -> tuple[tuple[TimePlot, ...], ...]:
     """List the plots as rows of tabs; the first of each row is open."""
+    rows = _tabs(scene)
+    if len(scene.names) <= MAX_SINGLE:
+        return rows
+    marked = [[_with_median(plot) for plot in row] for row in rows]
+    for row in marked:  # in the title of the open tab only: titles of tabs are short
+        row[0] = replace(row[0], title=f"{row[0].title}; white: median")
+    return tuple(map(tuple, marked))
+
+
+def _with_median(plot: TimePlot) -> TimePlot:
+    """Draw the curves of many aircraft thin and faded, and their median over them.
+
+    A median of courses means nothing: they wrap around.
+    """
+    first = plot.series[0]
+    faded = tuple(mix(colour, BACKDROP, 0.45) for colour in first.colours)
+    thin = replace(first, colours=faded, width=0.8)
+    if plot.name == "course":
+        return replace(plot, series=(thin, *plot.series[1:]))
+
+    def median(batch: ViewBatch) -> Array:
+        # by sorting, which puts NaN last
+        ordered = np.sort(first.values(batch), axis=1)
+        count = np.isfinite(ordered).sum(axis=1)
+        rows = np.arange(len(ordered))
+        low, high = np.maximum(count - 1, 0) // 2, count // 2
+        values = 0.5 * (ordered[rows, low] + ordered[rows, np.minimum(high, ordered.shape[1] - 1)])
+        middle: Array = np.where(count > 0, values, np.nan)[:, None]
+        return middle
+
+    middle = PlotSeries("median", ("median",), (MEDIAN,), median, width=2.0)
+    return replace(plot, series=(thin, middle, *plot.series[1:]))
+
+
+def _tabs(scene: Scene) -> tuple[tuple[TimePlot, ...], ...]:
     motion = (*_speeds(scene), *_directions(scene))
     commands = (
         _bank(scene),

@@ -1,8 +1,12 @@
-"""Show recorded runs: one, or two over one another, in a view or as a picture."""
+"""Show recorded runs: one, or two over one another, in a view or as a picture.
+
+Pictures are drawn by a Rerun viewer, or by the program itself as the frames of videos are.
+"""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +17,7 @@ from testbed.core.files import write_file
 from testbed.core.records import Event
 from testbed.logs.read import RunLog
 from testbed.views.batch import ViewBatch, batch_of, overlay, split
+from testbed.views.layout import PLOT_AHEAD_S, PLOT_WINDOW_S, fit_formation
 from testbed.views.scene import Scene, overlay_scenes, scene_of
 from testbed.views.view import ViewSink, ViewTarget
 from testbed.views.viewer import headless_viewer
@@ -20,8 +25,9 @@ from testbed.views.viewer import headless_viewer
 BATCH_SAMPLES = 1000
 LABELS = ("A", "B")  # of two runs
 SIZE = (1920, 1080)  # pixels
-LOADED_S = 60.0  # a long run on a slow machine
-LIMIT_S = 120.0  # of the whole picture
+LOADED_S = 40.0  # on a slow machine
+LIMIT_S = 60.0  # of the whole picture
+SETTLED_S = 5.0  # before what is shown, in which the cameras find their places
 DRAWN_S = 1.0  # the viewer draws several times, without a signal when it is done
 GREETING_S = 6.0  # after its first drawing the viewer shows a notice of its address for so long
 
@@ -64,8 +70,9 @@ def screenshot(
     *,
     size: tuple[int, int] = SIZE,
     follow: str | None = None,
+    progress: Callable[[str], None] = lambda doing: None,
 ) -> None:
-    """Save a picture of one run, or of two over one another, without a screen.
+    """Save a picture of one run, or of two over one another, drawn by a viewer without a screen.
 
     Args:
         path: of the PNG.
@@ -74,32 +81,74 @@ def screenshot(
         second: another one.
         size: width and height of the viewer's window, pixels.
         follow: name of an aircraft of the first run that the first camera stays near.
+        progress: called with what is done next, in words.
 
     Raises:
-        InputError: Two runs have no time in common, or no viewer can draw without a screen.
+        InputError: Two runs have no time in common.
+        ViewerUnavailableError: No viewer can draw without a screen, or none answers in time.
         OSError: The picture cannot be written.
         ViewComplaintError: A view reports an error; the picture is saved all the same.
     """
     from testbed.views.rerun_backend import RemoteViewer, RerunRecording
 
     scene, batch = scene_and_batch(first, second, follow=follow)
+    framing = fit_formation(scene, batch)
+    shown = _visible_at(batch, at_s)
+    progress("starting the Rerun viewer")
     with headless_viewer(size, limit_s=LIMIT_S) as port:
         viewer = RemoteViewer(port, scene.recording_id)
-        viewer.wait_until_drawn()
+        viewer.wait_until_drawn(LIMIT_S)
         greeting_ends = time.monotonic() + GREETING_S
-        recording = RerunRecording(scene, live=False, at_s=at_s)
+        progress("sending the flight to the Rerun viewer")
+        recording = RerunRecording(scene, live=False, at_s=at_s, framing=framing)
         recording.open(port)
-        _send(recording, batch)
+        _send(recording, shown)
         recording.flush(LOADED_S)
         viewer.pause_at(at_s, LOADED_S)
         viewer.hide_menu()
+        progress("the Rerun viewer draws")
         time.sleep(max(DRAWN_S, greeting_ends - time.monotonic()))
-        picture, complaints = viewer.screenshot()
+        picture, complaints = viewer.screenshot(LIMIT_S)
         recording.close()
     with write_file(path) as file:
         file.write(picture)
     if complaints:
         raise ViewComplaintError(f"{path}: the viewer reports: {'; '.join(complaints)}")
+
+
+def software_picture(
+    path: Path,
+    at_s: float,
+    first: RunLog,
+    second: RunLog | None = None,
+    *,
+    size: tuple[int, int] = SIZE,
+    follow: str | None = None,
+) -> None:
+    """Save a picture of one run, or of two over one another: a frame of `testbed video`.
+
+    Needs no viewer, display or graphics driver.
+
+    Args:
+        path: of the PNG.
+        at_s: a time that the runs have, s.
+        first: a log.
+        second: another one.
+        size: width and height of the picture, pixels.
+        follow: name of an aircraft of the first run that the first camera stays near.
+
+    Raises:
+        InputError: Two runs have no time in common, or Pillow is not installed.
+        OSError: The picture cannot be written.
+    """
+    from testbed.views.pillow_backend import save_picture
+    from testbed.views.video import FlightVideo
+
+    scene, batch = scene_and_batch(first, second, follow=follow)
+    nearest = int(np.abs(batch.time - at_s).argmin())
+    drawing = FlightVideo(scene, batch, np.array([nearest]), size).frame(0)
+    with write_file(path) as file:
+        save_picture(file, drawing)
 
 
 def scene_and_batch(
@@ -130,6 +179,13 @@ def _prepare(run: RunLog, follow: str | None = None) -> tuple[Scene, ViewBatch]:
     batch = batch_of(run, run.events)
     estimated = not np.array_equal(batch.estimated_position, batch.position, equal_nan=True)
     return replace(scene_of(run.info, follow), estimated=estimated), batch
+
+
+def _visible_at(batch: ViewBatch, at_s: float) -> ViewBatch:
+    """Select the samples that a picture at a time, s, shows: to send all of a run takes long."""
+    begin = at_s - PLOT_WINDOW_S - SETTLED_S
+    rows = slice(*np.searchsorted(batch.time, [begin, at_s + PLOT_AHEAD_S + 1e-6]).tolist())
+    return replace(batch.rows(rows), events=batch.events)
 
 
 def _send(sink: ViewSink, batch: ViewBatch) -> None:

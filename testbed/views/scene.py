@@ -18,6 +18,9 @@ from testbed.formation.barrier import LoggedBarrier, logged_barriers
 from testbed.views.panels import ON_DARK, Colour, rgb
 
 BACKDROP: Colour = (22, 26, 33)
+SKY: Colour = (52, 66, 86)  # of a view that has one colour for it
+HAZE: Colour = (66, 78, 80)  # of the ground at the horizon
+SOIL: Colour = (27, 37, 33)  # of the ground straight below
 LEADER: Colour = (240, 240, 240)
 PATH_COLOUR: Colour = (165, 165, 170)
 WIND_COLOUR: Colour = (255, 150, 190)  # no colour of an aircraft
@@ -26,6 +29,10 @@ TEXT_COLOUR: Colour = (200, 205, 212)
 TYRE: Colour = (45, 50, 58)  # and other dark parts
 FOLLOWERS: tuple[Colour, ...] = tuple(rgb(each) for each in ON_DARK)
 GRID_STEP = 100.0  # m
+FINE_PER_STEP = 5  # fine lines of the grid in a step, if it has no more than MAX_FINE_STEPS
+MAX_FINE_STEPS = 30
+MAX_SINGLE = 12  # aircraft with colours and names of their own
+RAMP: tuple[Colour, Colour] = (rgb("#56b4e9"), rgb("#f0a020"))  # of more, by their order
 MAX_LABELS = 6  # on an edge of the grid
 MAX_POSTS = 40  # vertical lines along the path that show its height
 GRID_MARGIN = 150.0  # m of grid beyond the path
@@ -67,7 +74,7 @@ def scene_of(info: RunInfo, follow: str | None = None) -> Scene:
         names=tuple(info.names),
         airframes=tuple(info.aircraft),
         wingspan=tuple(info.wingspan_m),
-        colours=tuple(aircraft_colour(k) for k in range(n + 1)),
+        colours=fleet_colours(n + 1),
         followers=tuple(range(1, n + 1)),
         camera_followers=n,
         paths=tuple(p for p in [np.asarray(info.leader_path_ned, dtype=np.float64)] if p.size),
@@ -132,6 +139,14 @@ def aircraft_colour(index: int) -> Colour:
     return LEADER if index == 0 else FOLLOWERS[(index - 1) % len(FOLLOWERS)]
 
 
+def fleet_colours(count: int) -> tuple[Colour, ...]:
+    """Choose the colours of a leader and its followers; of a large formation one scale by order."""
+    if count <= MAX_SINGLE:
+        return tuple(aircraft_colour(k) for k in range(count))
+    shares = np.linspace(0.0, 1.0, count - 1).tolist()
+    return LEADER, *(mix(*RAMP, share) for share in shares)
+
+
 def shade_in_run(shade: Colour, row: int, count: int) -> Colour:
     """Lighten the colour of a run for one of its aircraft; the leader is nearly white."""
     share = 0.75 if row == 0 else 0.45 * (row - 1) / max(count - 2, 1)
@@ -159,6 +174,7 @@ class Ground:
     """A grid on the ground with its scale, and the paths above it."""
 
     lines: tuple[Array, ...]  # (k, 3) m each
+    fine: tuple[Array, ...]  # (k, 3) m each, between the lines; none of a large area
     paths: tuple[Array, ...]  # (k, 3) m each, with a point every few metres
     posts: Array  # (p, 2, 3) m, from the ground up to the path
     label_positions: Array  # (l, 3) m
@@ -175,8 +191,11 @@ def ground(paths: Sequence[Array]) -> Ground:
     high = np.ceil((flat.max(axis=0) + GRID_MARGIN) / GRID_STEP) * GRID_STEP
     north = np.arange(low[0], high[0] + 1.0, GRID_STEP)
     east = np.arange(low[1], high[1] + 1.0, GRID_STEP)
-    across = [np.array([[n, low[1], 0.0], [n, high[1], 0.0]]) for n in north]
-    along = [np.array([[low[0], e, 0.0], [high[0], e, 0.0]]) for e in east]
+    fine: tuple[Array, ...] = ()
+    if max(len(north), len(east)) <= MAX_FINE_STEPS:
+        inside = GRID_STEP / FINE_PER_STEP * np.arange(1, FINE_PER_STEP)
+        between_north, between_east = ((at[:-1, None] + inside).ravel() for at in (north, east))
+        fine = _grid(between_north, between_east, low, high)
     # labels on the two edges nearest to the overview camera, of every second line or fewer
     step = max(2, -(-max(len(north), len(east)) // MAX_LABELS))
     aside = 0.03 * float(np.max(high - low))
@@ -185,7 +204,8 @@ def ground(paths: Sequence[Array]) -> Ground:
     posts = np.unique(np.linspace(0, len(path) - 1, MAX_POSTS).astype(int))
     tops = path[posts] if len(path) else path
     return Ground(
-        lines=tuple(subdivide(line) for line in across + along),
+        lines=_grid(north, east, low, high),
+        fine=fine,
         paths=tuple(subdivide(each) for each in paths),
         posts=np.stack([tops, tops * [1.0, 1.0, 0.0]], axis=1),
         label_positions=np.array([[n, e, 0.0] for n, e, _ in marks]),
@@ -193,6 +213,13 @@ def ground(paths: Sequence[Array]) -> Ground:
         low=low,
         high=high,
     )
+
+
+def _grid(north: Array, east: Array, low: Array, high: Array) -> tuple[Array, ...]:
+    """Lay out lines across an area at distances north (k,) and east (l,), m."""
+    across = [np.array([[n, low[1], 0.0], [n, high[1], 0.0]]) for n in north]
+    along = [np.array([[low[0], e, 0.0], [high[0], e, 0.0]]) for e in east]
+    return tuple(subdivide(line) for line in across + along)
 
 
 def subdivide(line: Array, step: float = 25.0) -> Array:

@@ -1,4 +1,4 @@
-"""Draw frames of a flight for a video: the formation from behind, with a view from above.
+"""Draw frames of a flight for a video: the formation from behind and from above, and all of it.
 
 The cameras, names and colours are those of the viewer.
 """
@@ -15,6 +15,7 @@ from testbed.core.records import Array
 from testbed.views import layout
 from testbed.views.airframes import draw_airframe
 from testbed.views.annotations import (
+    FLASH_S,
     LOST,
     Canvas,
     Links,
@@ -28,10 +29,11 @@ from testbed.views.cameras import (
     ABOVE,
     BEHIND,
     HALF_HEIGHT,
-    CameraTrack,
     FormationCameras,
     flying_aircraft,
 )
+from testbed.views.flight_map import FlightMap
+from testbed.views.landscape import landscape_palette
 from testbed.views.meshes import LIGHT, join
 from testbed.views.panels import Colour
 from testbed.views.pillow_backend import Drawing, text_width
@@ -42,16 +44,17 @@ from testbed.views.scene import (
     TEXT_COLOUR,
     TYRE,
     Scene,
-    ground,
     mix,
     paint_colours,
     secondary_colour,
+    subdivide,
 )
+from testbed.views.video_view import NEAR, VideoView
 
 TRAIL_S = 6.0
 TRAIL_POINTS = 40
-NEAR = 1.0  # m, from the camera to the nearest point that is drawn
-BESIDE = 0.32  # share of the width that the view from above has
+BESIDE = 0.32  # share of the width that the small pictures have
+UPPER = 0.56  # share of their height that the view from above has
 MARGIN = 12  # pixels around texts
 DETAILED_PX = 16.0  # wingspan from which an aircraft is drawn as a mesh, otherwise as a dot
 LIGHT_FROM = np.array([-0.35, -0.25, -0.90])  # forward, right, down of north
@@ -62,21 +65,6 @@ GAP = 18  # pixels between two texts in that line
 TITLE_PX = 17.0  # size of its first text
 ARROW = 18.0, 5.0  # pixels, length and half the width of an arrow at the edge
 RED: Colour = (255, 96, 88)  # of texts about lost aircraft
-
-
-@dataclass(frozen=True, slots=True)
-class VideoView:
-    """One of the pictures of a frame."""
-
-    track: CameraTrack  # one row for each frame
-    canvas: Canvas
-    ground: bool  # draws the ground and its grid, or a grid through the middle
-
-    def pixels(self, frame: int, position: Array) -> tuple[Array, Array]:
-        """Project positions (k, 3): pixels (k, 2), and depths (k,), m."""
-        at = self.track.rows(slice(frame, frame + 1))
-        screen, depth = at.project(position[None])
-        return self.canvas.to_pixels(screen[0]), depth[0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,27 +99,28 @@ class FlightVideo:
         self._size = framing.size
         width, height = size
         small, height = round(BESIDE * width), height - HEAD
-        widths = width - small, small
-        lenses = (
-            replace(BEHIND, aspect=widths[0] / height),
-            replace(ABOVE, aspect=widths[1] / height),
-        )
+        upper = round(UPPER * height)
+        frames_px = (width - small, height), (small, upper)
+        lenses = [
+            replace(lens, aspect=wide / high)
+            for lens, (wide, high) in zip((BEHIND, ABOVE), frames_px, strict=True)
+        ]
         tracks = FormationCameras(scene, lenses, self._size).track(batch)
         self._views = tuple(
-            VideoView(track.rows(frames), Canvas(each, height, letter=7.4, line=19.0), ground=not k)
-            for k, (track, each) in enumerate(zip(tracks, widths, strict=True))
+            VideoView.of(track.rows(frames), Canvas(*each, letter=7.4, line=19.0))
+            for track, each in zip(tracks, frames_px, strict=True)
         )
-        self._lines = Links(scene).lines(self._shown, self._shown.position)
+        self._map = FlightMap(scene, batch, frames, Canvas(small, height - upper))
+        self._lines = self._links().lines(self._shown, self._shown.position)
         self._first_line = np.concatenate([[0], np.cumsum(self._lines.counts)])
         self._rotation = rotation_ned_body(self._shown.euler)
         level = np.zeros_like(self._shown.euler)
         level[..., 2] = self._views[0].track.heading[:, None]
         self._level = rotation_ned_body(level)
         self._prepare_meshes()
-        area = ground(scene.paths)
-        self._ground = [(each, GRID_COLOUR) for each in area.lines]
-        self._ground += [(path * [1.0, 1.0, 0.0], GRID_COLOUR) for path in area.paths]
-        self._ground += [(path, PATH_COLOUR) for path in area.paths]
+        paths = [subdivide(each) for each in scene.paths]
+        self._paths = [(path * [1.0, 1.0, 0.0], GRID_COLOUR) for path in paths]
+        self._paths += [(path, PATH_COLOUR) for path in paths]
 
     @property
     def colours(self) -> list[Colour]:
@@ -140,7 +129,8 @@ class FlightVideo:
         used = list(dict.fromkeys(self._scene.colours))[:21]
         tones = [mix(BACKDROP, each, s) for each in used for s in (0.25, 0.4, 0.55, 0.7, 0.85, 1)]
         pale = [mix(each, (255, 255, 255), 0.4) for each in used]
-        return [*greys, (30, 34, 42), TYRE, LOST, GRID_COLOUR, PATH_COLOUR, *tones, *pale]
+        fixed = [(30, 34, 42), TYRE, LOST, GRID_COLOUR, PATH_COLOUR]
+        return [*greys, *fixed, *landscape_palette(), *tones, *pale]
 
     def frame(self, number: int) -> Drawing:
         """Draw a frame by its number."""
@@ -148,11 +138,28 @@ class FlightVideo:
         left, right = self._view(behind, number), self._view(above, number)
         self._texts(left, behind, number)
         self._texts(right, above, number)
-        both = left.beside(right, HEAD)
-        edge, height = behind.canvas.width, behind.canvas.height
-        both.line(np.array([[edge, HEAD], [edge, HEAD + height]]), GRID_COLOUR)
-        self._head(both, edge + above.canvas.width, number)
-        return both
+        flight = self._map.draw(number)
+        for part, title in ((right, "from above"), (flight, "the flight")):
+            part.text(np.array([MARGIN, MARGIN]), title, TEXT_COLOUR, anchor="lt")
+        edge, height, upper = (
+            int(each) for each in (behind.canvas.width, behind.canvas.height, above.canvas.height)
+        )
+        width = edge + int(above.canvas.width)
+        parts = [(left, 0, HEAD), (right, edge, HEAD), (flight, edge, HEAD + upper)]
+        whole = Drawing.joined(width, HEAD + height, parts)
+        whole.line(np.array([[edge, HEAD], [edge, HEAD + height]]), GRID_COLOUR)
+        whole.line(np.array([[edge, HEAD + upper], [width, HEAD + upper]]), GRID_COLOUR)
+        self._head(whole, width, number)
+        return whole
+
+    def _links(self) -> Links:
+        """Return what selects lines, after the samples before the first frame: losses last."""
+        links, first = Links(self._scene), int(self._frames[0])
+        begin = np.searchsorted(self._batch.time, self._batch.time[first] - FLASH_S) - 2
+        before = self._batch.rows(slice(max(int(begin), 0), first))
+        if len(before):
+            links.lines(before, before.position)
+        return links
 
     def _prepare_meshes(self) -> None:
         """Join the parts of each drawn airframe, with a colour and a normal per triangle."""
@@ -185,10 +192,9 @@ class FlightVideo:
 
     def _view(self, view: VideoView, number: int) -> Drawing:
         """Draw everything but the texts."""
-        canvas, shown = view.canvas, self._shown
-        drawing = Drawing(int(canvas.width), int(canvas.height), BACKDROP)
-        for points, colour in self._ground if view.ground else self._grid(view, number):
-            self._polyline(drawing, view, number, points, colour)
+        shown, drawing = self._shown, view.begin(number)
+        for points, colour in self._paths:
+            view.polyline(drawing, number, points, colour)
         row = int(self._frames[number])
         first = int(np.searchsorted(self._batch.time, self._batch.time[row] - TRAIL_S))
         step = max(1, (row - first) // TRAIL_POINTS)
@@ -196,12 +202,12 @@ class FlightVideo:
         for k in range(len(self._scene.names)):
             if self._flying[number, k]:
                 trail = self._batch.position[rows, k]
-                self._polyline(drawing, view, number, trail, self._scene.colours[k], 1.6)
+                view.polyline(drawing, number, trail, self._scene.colours[k], 1.6)
         lines, begin = self._lines, self._first_line
         for s in range(begin[number], begin[number + 1]):
             colour = tuple(lines.colours[s].tolist())
             width = 0.5 + float(lines.radii[s])
-            self._polyline(drawing, view, number, lines.strips[s], colour, width)
+            view.polyline(drawing, number, lines.strips[s], colour, width)
         for lost in np.flatnonzero(shown.lost[number]).tolist():
             at, depth = view.pixels(number, shown.position[number, lost : lost + 1])
             if depth[0] > NEAR:
@@ -258,40 +264,6 @@ class FlightVideo:
             order = np.flatnonzero(front)[np.argsort(-far[front])]
             drawing.polygons(pixels[order], tone[order].astype(np.uint8))
 
-    def _polyline(
-        self,
-        drawing: Drawing,
-        view: VideoView,
-        number: int,
-        points: Array,
-        colour: Colour,
-        width: float = 1.0,
-    ) -> None:
-        """Draw the parts of a line that are before the camera and near the picture."""
-        pixels, depth = view.pixels(number, points)
-        reach = 4.0 * max(view.canvas.width, view.canvas.height)
-        with np.errstate(invalid="ignore"):
-            good = (depth > NEAR) & (np.abs(pixels) < reach).all(axis=-1)
-        ends = np.flatnonzero(np.diff(np.concatenate([[False], good, [False]])))
-        for begin, end in zip(ends[::2], ends[1::2], strict=True):
-            if end - begin > 1:
-                drawing.line(pixels[begin:end], colour, width)
-
-    def _grid(self, view: VideoView, number: int) -> list[tuple[Array, Colour]]:
-        """Lay out a grid through the middle, whose step is the length of the scale bar."""
-        at = view.track.rows(slice(number, number + 1))
-        step = scale_bar(at, view.canvas).length
-        along = step * np.arange(-12.0, 13.0)
-        c, s = np.cos(at.heading[0]), np.sin(at.heading[0])
-        ahead, right = np.array([c, s, 0.0]), np.array([-s, c, 0.0])
-        end = along[-1]
-        faint = mix(GRID_COLOUR, BACKDROP, 0.5)
-        return [
-            (at.centre[0] + x * one + np.outer([-end, end], other), faint)
-            for one, other in ((ahead, right), (right, ahead))
-            for x in along
-        ]
-
     def _texts(self, drawing: Drawing, view: VideoView, number: int) -> None:
         """Write names, arrows towards aircraft out of view, losses, and the scale bar."""
         one = self._shown.rows(slice(number, number + 1))
@@ -314,7 +286,20 @@ class FlightVideo:
             for middle, text, row in zip(each.middle, each.texts, each.rows, strict=True):
                 drawing.text(middle, text, self._scene.colours[row])
         self._losses(drawing, view, number, np.concatenate(taken))
-        drawing.text(np.array([left + 2, low - 4]), f"{bar.length:g} m", TEXT_COLOUR, anchor="ls")
+        drawing.text(np.array([left + 2, low - 6]), f"{bar.length:g} m", TEXT_COLOUR, anchor="ls")
+        if view is self._views[0]:
+            corner = np.array([view.canvas.width - MARGIN, low])
+            drawing.text(corner, self._height_and_speed(view, number), TEXT_COLOUR, anchor="rs")
+
+    def _height_and_speed(self, view: VideoView, number: int) -> str:
+        """Describe the flight of the first aircraft that is not lost, and the lines below it."""
+        grid = f"ground grid {view.step:g} m"
+        flying = np.flatnonzero(self._flying[number])
+        if not len(flying):
+            return grid
+        height = -self._shown.position[number, flying[0], 2]
+        speed = float(np.linalg.norm(self._shown.velocity[number, flying[0]]))
+        return f"height {height:.0f} m · {speed:.1f} m/s · {grid}"
 
     def _losses(self, drawing: Drawing, view: VideoView, number: int, taken: Array) -> None:
         """Name the marks of lost aircraft where boxes (b, 4) of other texts leave room."""

@@ -32,10 +32,19 @@ PAGE_PORT = 9090  # Rerun's default
 PROBE_S = 0.3
 START_S = 20.0  # a first start on a slow machine
 PORT_ATTEMPTS = 3  # when another program takes the free port first
+END_S = 2.0  # in which a viewer without a driver ends: it listens before it looks for one
 TCP_LISTEN = "0A"  # the state of a socket in /proc/net/tcp
 # Each viewer asks api.github.com for a newer version, which no option switches off: its requests go
 # to a proxy that does not exist.
 PROXY = f"http://{HOST}:9"
+NO_DRIVER = (
+    "the Rerun viewer does not start without a screen: it needs a Vulkan driver (on Debian and "
+    "Ubuntu, apt-get install mesa-vulkan-drivers)"
+)
+
+
+class ViewerUnavailableError(InputError):
+    """There is no Rerun viewer that can draw here; the text has the reason and the remedy."""
 
 
 def is_listening(port: int) -> bool:
@@ -55,7 +64,7 @@ def rerun_program() -> str | None:
 def _needed_program() -> str:
     executable = rerun_program()
     if executable is None:
-        raise InputError(
+        raise ViewerUnavailableError(
             f"there is no `rerun` program beside {sys.executable}: write {install_command('view')}"
         )
     return executable
@@ -112,7 +121,7 @@ def headless_viewer(size: tuple[int, int], *, limit_s: float = math.inf) -> Iter
         The port of this machine on which it listens.
 
     Raises:
-        InputError: There is no viewer, it cannot draw, or it did not answer in time.
+        ViewerUnavailableError: There is no viewer, it cannot draw, or it did not answer in time.
     """
     executable = _needed_program()
     window = ("--headless", "--window-size", "{}x{}".format(*size))
@@ -121,10 +130,7 @@ def headless_viewer(size: tuple[int, int], *, limit_s: float = math.inf) -> Iter
     guarded = guarded_viewer(executable, *window, folder=scratch.name)
     with scratch, guarded as (viewer, port):
         if viewer.poll() is not None:
-            raise InputError(
-                "the Rerun viewer does not start without a screen: it needs a Vulkan driver (on "
-                "Debian and Ubuntu, apt-get install mesa-vulkan-drivers)"
-            )
+            raise ViewerUnavailableError(NO_DRIVER)
 
         def time_out() -> None:
             timed_out.set()
@@ -137,12 +143,22 @@ def headless_viewer(size: tuple[int, int], *, limit_s: float = math.inf) -> Iter
             yield port
         except Exception as error:
             if timed_out.is_set() or isinstance(error, TimeoutError):
-                raise InputError(
-                    "the Rerun viewer does not answer; is the machine busy?"
+                limit = f" within {limit_s:g} s" if timed_out.is_set() else ""
+                raise ViewerUnavailableError(
+                    f"the Rerun viewer does not answer{limit}: the machine may be busy"
                 ) from error
+            if isinstance(error, OSError) and _ends(viewer):
+                raise ViewerUnavailableError(NO_DRIVER) from error
             raise
         finally:
             timer.cancel()
+
+
+def _ends(viewer: subprocess.Popen[bytes]) -> bool:
+    """Return whether a viewer has ended, or does so at once."""
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        viewer.wait(END_S)
+    return viewer.poll() is not None
 
 
 @contextlib.contextmanager

@@ -53,6 +53,7 @@ WORKS = (
 NEEDS = {
     "view run --rrd run.rrd": "view",
     "report run": "report",
+    "demo": "report",
     "export run --format parquet": "study",
     "export run --format ros2": "ros2",
     "sweep radio-and-wind": "study",

@@ -172,7 +172,7 @@ def test_part_of_a_run_is_drawn(flown, only):
     ]
     assert all(5.0 <= time_s <= 9.0 for time_s, _ in panel.marks)
     assert altitude.subtitle.endswith("seed 1 · 5 to 9 s")
-    assert "leader, path" not in [line.label for line in trajectory.rows[0][1].lines]
+    assert "leader, path" not in [line.label for line in trajectory.rows[0][0].lines]
     assert run.metrics == whole.metrics
     assert "The figures show 5 to 9 s" in render_page(run_page(run))
 
@@ -381,19 +381,28 @@ def test_narrow_page_has_readable_text_and_shadows(flown, tmp_path):
     assert found["over"] <= 0
 
 
-def test_close_followers_are_not_drawn_over_time(flown, only):
-    """Their paths would cover the leader's; far ones are drawn."""
+def test_trajectory_shows_followers_beside_the_leader(flown, only):
+    """At 3 m forward, 5 m right and 2 m above a leader that flies to the east."""
     only("trajectory")
     run = read_run(flown)
-    position = run.log.truth.position_ned.copy()
-    position[:, 0, 1] = np.linspace(0.0, 1000.0, len(position))
-    for distance, curves in ((10.0, 1), (100.0, 4)):
-        position[:, 1:] = position[:, :1] + [distance, 0.0, 0.0]
-        log = replace(run.log, truth=run.log.truth._replace(position_ned=position))
-        (figure,) = run_figures(replace(run, log=log))
-        assert len(figure.grid.rows[0][0].curves) == curves
-        assert len(figure.grid.rows[0][1].lines) >= 4
-        assert ("would cover" in figure.caption) is (curves == 1)
+    truth, formation = run.log.truth, run.log.formation
+    position, velocity = truth.position_ned.copy(), np.zeros_like(truth.velocity_ned)
+    velocity[..., 1] = 20.0
+    slot = position[:, :1] + [-5.0, 3.0, -2.0] + np.zeros_like(formation.slot_ned)
+    position[:, 1:] = slot
+    position[-1, 1] += [0.0, 0.0, 1.0]  # uav1 ends 1 m low
+    log = replace(
+        run.log,
+        truth=truth._replace(position_ned=position, velocity_ned=velocity),
+        formation=formation._replace(slot_ned=slot),
+    )
+    (figure,) = run_figures(replace(run, log=log))
+    _, above, behind = figure.grid.rows[0]
+    uav1, cross = behind.lines[1], behind.lines[-1]
+    assert (uav1.label, uav1.x[-1]) == ("uav1", pytest.approx(5.0))
+    assert uav1.y[-1] == pytest.approx(1.0) and uav1.y[-2] == pytest.approx(2.0)
+    assert [cross.x, cross.y, cross.marker] == [pytest.approx([5.0]), pytest.approx([2.0]), "x"]
+    assert above.lines[1].y[-1] == pytest.approx(3.0)
 
 
 def test_links_have_colours_and_markers_of_no_follower(flown, only):

@@ -13,11 +13,15 @@ from commands import call_command, refuse_all
 from PIL import Image, ImageSequence
 from record_flight import record, run_info, run_samples
 
-from testbed.cli.video import _frames
+from testbed.cli.video import choose_frames
 from testbed.core.errors import InputError
-from testbed.views.pillow_backend import Drawing, mp4_from_avif, save_video
+from testbed.views.annotations import LOST, Canvas
+from testbed.views.cameras import BEHIND, FormationCameras
+from testbed.views.landscape import eye_of, grid_lines, grid_step
+from testbed.views.pillow_backend import FINER, Drawing, mp4_from_avif, save_video
 from testbed.views.recorded_runs import scene_and_batch
 from testbed.views.video import RED, FlightVideo, short_length
+from testbed.views.video_view import VideoView
 
 
 def boxes(data, start=0, end=None):
@@ -146,6 +150,41 @@ def test_frame_names_lost_aircraft_twice():
     assert "uav2" not in [text for text, _ in texts]
 
 
+def test_horizon_is_where_level_ground_ends():
+    scene, batch = scene_and_batch(views_flight.log(4, 8.0))
+    track = FormationCameras(scene, (BEHIND,), 1.0).track(batch)[0]
+    view = VideoView.of(track, Canvas(640.0, 480.0))
+    eye, ahead = eye_of(track.rows(slice(0, 1))), track.heading[0]
+    far = eye + 1e7 * np.array([np.cos(ahead), np.sin(ahead), 0.0])
+    row = FINER * view.pixels(0, far[None])[0][0, 1]
+    assert 0.1 < row / len(view.rows) < 0.3
+    red, _, blue = view.rows[: int(row) - 1].astype(int).T
+    assert (blue > red + 10).all(), "sky"
+    red, green, blue = view.rows[int(row) + 1 :].astype(int).T
+    assert (green > red).all() and (blue < green + 5).all(), "ground"
+
+
+def test_lines_on_ground_stand_still():
+    eyes = np.array([[0.0, 0.0, -100.0], [13.0, -7.0, -100.0]])
+    at = [grid_lines(eye, 20.0) for eye in eyes]
+    for each, eye in zip(at, eyes, strict=True):
+        assert (each.ends[..., :2] % 20.0 == 0.0).all() and (each.ends[..., 2] == 0.0).all()
+        assert (each.ends[each.broad][..., :2] % 100.0 == 0.0).all()
+        away = np.linalg.norm(each.ends.mean(axis=1)[:, :2] - eye[:2], axis=-1)
+        assert each.strength[away.argmin()] > 3.0 * each.strength[away.argmax()]
+    assert [grid_step(height) for height in (100.0, 30.0, 1000.0, 0.0)] == [20.0, 5.0, 200.0, 0.2]
+
+
+@pytest.mark.parametrize(("lost_at", "red"), [(100, False), (148, True)])
+def test_only_recent_losses_are_red(lost_at, red):
+    """In the first frame, too, which is in the middle of the flight."""
+    scene, batch = scene_and_batch(views_flight.log(4, 8.0))
+    sent = batch.sent.copy()
+    sent[lost_at:, 0, 0] = 1.0
+    video = FlightVideo(scene, dataclasses.replace(batch, sent=sent), np.array([150]), (960, 540))
+    assert (video._lines.colours == LOST).all(axis=-1).any() == red
+
+
 def test_short_length_has_three_or_four_digits():
     assert [short_length(each) for each in (0.123, 9.99, 10.26, 99.9, 1068.38)] == [
         "0.12", "9.99", "10.3", "99.9", "1068",
@@ -154,6 +193,6 @@ def test_short_length_has_three_or_four_digits():
 
 def test_default_speed_makes_video_of_thirty_seconds():
     time = np.arange(0.0, 1080.0, 0.04)
-    rows = _frames(time, None, None, None, 25)
+    rows = choose_frames(time, None, None, None, 25)
     assert len(rows) == 751 and rows[0] == 0 and time[rows[-1]] == pytest.approx(1079.96, abs=0.04)
-    assert np.array_equal(_frames(time, 10.0, 12.0, None, 25), np.arange(250, 301))
+    assert np.array_equal(choose_frames(time, 10.0, 12.0, None, 25), np.arange(250, 301))

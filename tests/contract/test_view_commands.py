@@ -4,6 +4,7 @@ import subprocess
 
 import pytest
 from commands import call_command, refuse_all
+from PIL import Image
 from record_flight import record, run_info, run_samples
 
 from testbed.cli.output import format_size
@@ -58,16 +59,49 @@ def test_view_without_display_is_bad_input(command, monkeypatch, name, runs, way
     assert all(way in output for way in ways)
 
 
-def test_shot_without_driver_says_what_to_install(command, monkeypatch, tmp_path):
+@pytest.mark.parametrize(
+    ("program", "remedy"),
+    [("#!/bin/sh\nexit 1\n", "mesa-vulkan-drivers"), (None, 'install "formation-testbed[view]"')],
+    ids=["no driver", "no viewer"],
+)
+def test_shot_without_viewer_is_drawn_anyway(command, monkeypatch, tmp_path, program, remedy):
     broken = tmp_path / "rerun"
-    broken.write_text("#!/bin/sh\nexit 1\n")
-    broken.chmod(0o755)
-    monkeypatch.setattr(viewer, "rerun_program", lambda: str(broken))
-    assert "mesa-vulkan-drivers" in command("shot", "run.mcap", "--out", str(tmp_path / "it.png"))
-    monkeypatch.setattr(viewer, "rerun_program", lambda: None)
-    assert 'pip install "formation-testbed[view]"' in command(
-        "shot", "run.mcap", "--out", str(tmp_path / "it.png")
+    if program is not None:
+        broken.write_text(program)
+        broken.chmod(0o755)
+    monkeypatch.setattr(viewer, "rerun_program", lambda: str(broken) if program else None)
+    shot = ("shot", "run.mcap", "--at", "2", "--size", "640x360", "--out", tmp_path / "it.png")
+    output = command(*shot, code=0)
+    assert (
+        remedy in output
+        and "drawn by the software renderer" in output
+        and "transport" not in output
     )
+    with Image.open(tmp_path / "it.png") as picture:
+        assert picture.size == (640, 360)
+    (tmp_path / "it.png").unlink()
+    output = command(*shot, "--renderer", "rerun", code=2)
+    assert remedy in output and "--renderer software" in output
+    assert not (tmp_path / "it.png").exists()
+
+
+def test_shot_of_two_runs_needs_no_viewer(command, monkeypatch, tmp_path):
+    monkeypatch.setattr(viewer, "rerun_program", None)  # calling it would fail
+    path = tmp_path / "it.png"
+    command("shot", "run.mcap", "short.mcap", "--renderer", "software", "--out", path, code=0)
+    with Image.open(path) as picture:
+        assert picture.size == (1920, 1080)
+
+
+def test_unwritable_picture_names_the_file(command, monkeypatch, tmp_path):
+    """A failure of the file is not one of the viewer, and the other way round."""
+
+    def full(path, *_, **__):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("testbed.views.screenshot", full)
+    output = command("shot", "run.mcap", "--out", str(tmp_path / "it.png"))
+    assert f"--out {tmp_path / 'it.png'}: cannot be written: No space left on device" in output
 
 
 def test_view_at_time_sets_cursor(command, monkeypatch):

@@ -106,6 +106,27 @@ def test_headless_viewer_over_limit_raises(tmp_path, monkeypatch):
         raise RuntimeError("the error of a client whose viewer has ended")
 
 
+def test_viewer_ending_after_it_listens_has_no_driver(tmp_path, monkeypatch):
+    """As without a Vulkan driver: its client then has a connection error."""
+    brief = LISTENER.replace("time.sleep(600)", "time.sleep(1.0)")
+    program = stub(tmp_path / "rerun", brief.format(python=sys.executable, otherwise="pass"))
+    monkeypatch.setattr(viewer, "rerun_program", lambda: program)
+    with (
+        pytest.raises(viewer.ViewerUnavailableError, match="Vulkan"),
+        viewer.headless_viewer((640, 400)) as port,
+    ):
+        until(lambda: not viewer.is_listening(port))
+        raise ConnectionError("transport error")
+
+
+def test_error_beside_running_viewer_stays_as_it_is(tmp_path, monkeypatch):
+    program = stub(tmp_path / "rerun", LISTENER.format(python=sys.executable, otherwise="pass"))
+    monkeypatch.setattr(viewer, "rerun_program", lambda: program)
+    monkeypatch.setattr(viewer, "END_S", 0.1)
+    with pytest.raises(PermissionError, match="of a file"), viewer.headless_viewer((640, 400)):
+        raise PermissionError("of a file")
+
+
 def test_pause_at_retries_after_timeouts(monkeypatch):
     line = SimpleNamespace(name=remote.TIMELINE, end=5_000_000_000)
     state = SimpleNamespace(recordings=[SimpleNamespace(store_id="of run-1", timelines=[line])])

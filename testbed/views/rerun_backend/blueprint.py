@@ -9,8 +9,8 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from testbed.views import layout, plots
-from testbed.views.annotations import ANNOTATIONS, MAX_NAMED
-from testbed.views.scene import BACKDROP, Scene
+from testbed.views.annotations import ANNOTATIONS
+from testbed.views.scene import BACKDROP, MAX_SINGLE, Scene
 
 TIMELINE = "sim_time"
 OVERLAYS = ("names", "ties", "out_of_view", "scale", "grid")  # in the frames of the cameras
@@ -33,7 +33,7 @@ def blueprint(
         live: whether the viewer follows a running flight.
         span: time that the plots show, s; None: the last minute before the cursor.
     """
-    named = len(scene.names) <= MAX_NAMED
+    named = len(scene.names) <= MAX_SINGLE
     period_s = layout.stride(scene, layout.PLOT_ROWS_PER_S) / scene.sample_rate_hz
     shown = layout.views_3d(scene, framing)
     label_s = layout.stride(scene, math.inf, layout.LABEL_ROWS_PER_S) / scene.sample_rate_hz
@@ -99,7 +99,7 @@ def spatial_view(
         origin=view.origin,
         name=view.name,
         contents=["+ /world/**", *(f"- /{entity}" for entity in view.excluded)],
-        background=rrb.Background(color=BACKDROP, kind=rrb.BackgroundKind.SolidColor),
+        background=rrb.Background(color=view.background, kind=rrb.BackgroundKind.SolidColor),
         line_grid=False,
         eye_controls=rrb.EyeControls3D(
             position=view.camera.position, look_target=view.camera.target, eye_up=view.camera.up

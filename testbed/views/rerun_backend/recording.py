@@ -60,13 +60,21 @@ def address(port: int) -> str:
 class RerunRecording:
     """Send one run to a viewer or to memory."""
 
-    def __init__(self, scene: Scene, *, live: bool, at_s: float | None = None) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        *,
+        live: bool,
+        at_s: float | None = None,
+        framing: layout.Framing | None = None,
+    ) -> None:
         """Prepare the recording; call `open` before `send`.
 
         Args:
             scene: the static part of the view.
             live: whether a viewer follows the running flight, or opens it afterwards.
             at_s: the only time that will be shown, s; None: plots follow the cursor.
+            framing: scales; None: those that suit the first sample that is sent.
         """
         self._scene = scene
         self._live = live
@@ -79,7 +87,7 @@ class RerunRecording:
         self._lost = np.zeros(len(scene.names), dtype=bool)
         self._sent = 0  # samples
         self._last_plotted: ViewBatch | None = None  # one sample
-        self._framing: layout.Framing | None = None
+        self._framing = framing
         self.calls = 0
         self._memory: rr.MemoryRecording | None = None
         self._stream = rr.RecordingStream("testbed", recording_id=scene.recording_id)
@@ -112,7 +120,7 @@ class RerunRecording:
     def send(self, batch: ViewBatch) -> None:
         """Send consecutive samples; the first batch also sends the static part and the layout."""
         if len(batch):
-            if self._framing is None:
+            if not self._sent:
                 self._begin(batch)
             behind, above = self._cameras.track(batch)
             self._send_motion(batch, behind, above)
@@ -136,17 +144,17 @@ class RerunRecording:
 
     def _begin(self, first: ViewBatch) -> None:
         scene = self._scene
-        self._framing = layout.fit_formation(scene, first)
-        self._cameras = FormationCameras(scene, (BEHIND, ABOVE), self._framing.size)
+        framing = self._framing = self._framing or layout.fit_formation(scene, first)
+        self._cameras = FormationCameras(scene, (BEHIND, ABOVE), framing.size)
         self._tabs = plots.tabs(scene)
-        entities = static_entities(scene, self._drawings, self._framing, self._tabs)
+        entities = static_entities(scene, self._drawings, framing, self._tabs)
         for entity, components in entities:
             self.calls += 1
             self._stream.log(entity, *components, static=True)
         at_s, begin = self._at_s, float(first.time[0])
         span = None if at_s is None else layout.plot_span(at_s, begin)
         self._stream.send_blueprint(
-            blueprint(scene, self._framing, self._tabs, live=self._live, span=span)
+            blueprint(scene, framing, self._tabs, live=self._live, span=span)
         )
 
     def _send_motion(self, batch: ViewBatch, behind: CameraTrack, above: CameraTrack) -> None:

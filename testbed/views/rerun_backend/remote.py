@@ -36,17 +36,34 @@ class RemoteViewer:
         """Hide the menu bar."""
         self._client.run_command("ui.toggle_top_panel")
 
-    def wait_until_drawn(self) -> None:
-        """Wait until the viewer has drawn once."""
-        self._client.take_screenshot(max_size=16)
+    def wait_until_drawn(self, timeout_s: float) -> None:
+        """Wait until the viewer has drawn once.
 
-    def screenshot(self) -> tuple[bytes, list[str]]:
-        """Return what the viewer shows as PNG, and the errors that its views report."""
-        picture = self._client.take_screenshot()
+        Raises:
+            TimeoutError: It has not drawn in this time, s.
+        """
+        self._draw(timeout_s, max_size=16)
+
+    def screenshot(self, timeout_s: float) -> tuple[bytes, list[str]]:
+        """Return what the viewer shows as PNG, and the errors that its views report.
+
+        Raises:
+            TimeoutError: It has not drawn in this time, s.
+        """
+        picture = self._draw(timeout_s)
         views = self._client.get_state().views
         return picture, [
             f"{view.name}: {report.summary}" for view in views for report in view.reports
         ]
+
+    def _draw(self, timeout_s: float, max_size: int | None = None) -> bytes:
+        deadline = time.monotonic() + timeout_s
+        while True:
+            try:
+                return self._client.take_screenshot(max_size=max_size)
+            except TimeoutError:  # the client's timeout is shorter than ours
+                if time.monotonic() > deadline:
+                    raise
 
     def _reached(self) -> float:
         try:

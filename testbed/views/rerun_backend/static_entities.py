@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+import numpy as np
 import rerun as rr
 
 from testbed.core.records import Array
@@ -14,7 +15,9 @@ from testbed.views.panels import Colour
 from testbed.views.scene import (
     BACKDROP,
     GRID_COLOUR,
+    HAZE,
     PATH_COLOUR,
+    SOIL,
     TEXT_COLOUR,
     WIND_COLOUR,
     Ground,
@@ -26,6 +29,9 @@ from testbed.views.scene import (
 )
 
 ESTIMATE: Colour = (255, 255, 255)
+RINGS = ((400.0, 0.0), (1500.0, 0.35), (5000.0, 0.8), (40000.0, 1.0))  # radius, m, and haze
+RING_POINTS = 48
+BELOW_GRID = 1.0  # m, of the ground: lines in its plane would flicker
 GHOST_ALPHA, DISC_ALPHA = 60, 70  # of 255
 
 Entity = tuple[str, tuple[rr.AsComponents, ...]]  # path and components
@@ -95,7 +101,10 @@ def _ground(area: Ground) -> Iterator[Entity]:
     ) -> tuple[rr.LineStrips3D]:
         return (rr.LineStrips3D(strips, radii=rr.Radius.ui_points(points), colors=colour),)
 
+    yield "world/ground/soil", (_soil(0.5 * (area.low + area.high)),)
     yield "world/ground/grid", lines(area.lines, GRID_COLOUR)
+    if area.fine:
+        yield "world/ground/fine", lines(area.fine, mix(GRID_COLOUR, SOIL, 0.6), 0.4)
     if area.paths:
         shadows = [path * [1.0, 1.0, 0.0] for path in area.paths]
         yield "world/paths/line", lines(area.paths, PATH_COLOUR, 0.8)
@@ -104,6 +113,26 @@ def _ground(area: Ground) -> Iterator[Entity]:
     small = rr.Radius.ui_points(0.1)
     scale = rr.Points3D(area.label_positions, labels=area.labels, radii=small, colors=GRID_COLOUR)
     yield "world/ground/scale", (scale,)
+
+
+def _soil(middle: Array) -> rr.Mesh3D:
+    """Draw the ground as rings around the middle (2,) of a flight, in haze far away."""
+    angle = np.linspace(0.0, 2.0 * np.pi, RING_POINTS, endpoint=False)
+    ring = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=-1)
+    vertices = [np.array([[*middle, BELOW_GRID]])]
+    vertices += [vertices[0] + radius * ring for radius, _ in RINGS]
+    colours = [SOIL, *(mix(SOIL, HAZE, share) for _, share in RINGS for _ in angle)]
+    k, following = np.arange(RING_POINTS), np.roll(np.arange(RING_POINTS), -1)
+    triangles = [np.stack([np.zeros_like(k), 1 + k, 1 + following], axis=-1)]
+    for inner in range(len(RINGS) - 1):
+        a, b = 1 + RING_POINTS * inner + k, 1 + RING_POINTS * inner + following
+        triangles += [np.stack([a, a + RING_POINTS, b], axis=-1)]
+        triangles += [np.stack([b, a + RING_POINTS, b + RING_POINTS], axis=-1)]
+    return rr.Mesh3D(
+        vertex_positions=np.concatenate(vertices),
+        triangle_indices=np.concatenate(triangles),
+        vertex_colors=colours,
+    )
 
 
 def _axes(plot: plots.TimePlot) -> Iterator[Entity]:
