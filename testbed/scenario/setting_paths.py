@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -24,7 +23,6 @@ from testbed.scenario.references import (
 from testbed.scenario.yaml_io import parse, plain, to_inline
 
 
-@functools.lru_cache(maxsize=256)  # all seeds of a point have the same settings
 def setting_from_here(text: str, folder: Path, here: Path) -> str:
     """Return a setting with the files that are found from `folder` as paths from `here`.
 
@@ -36,11 +34,14 @@ def setting_from_here(text: str, folder: Path, here: Path) -> str:
         here: the working directory.
     """
     key, _, value = text.partition("=")
+    last = key.rpartition(".")[2]
+    if last not in _MOVERS and "{" not in value and "[" not in value:
+        return text  # most settings are numbers
     try:
         before = plain(parse(value, text, folder))
     except ScenarioError:
         return text
-    moved = _moved(key.rpartition(".")[2], before, folder, here)
+    moved = _moved(last, before, folder, here)
     return text if moved == before else f"{key}={to_inline(moved)}"
 
 
