@@ -27,6 +27,8 @@ from testbed.cli.output import (
     result_console,
     write_json_output,
 )
+from testbed.cli.report import FigureFormat, figure_format
+from testbed.cli.trend import show_trend
 from testbed.core.errors import InputError, raise_memory_shortage
 from testbed.core.files import check_folder_writable, check_writable, report_write_errors
 
@@ -58,6 +60,15 @@ def check_command(
         ),
     ] = None,
     overrides: Overrides = None,
+    tolerance: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="5%|NAME=5%",
+            help="Numbers may be worse by this much, and better by any: all, or of one quantity, "
+            "as rms_m=5% or rms_m=0.1; may be repeated.  \\[default: the scenario's expect, else "
+            "1 mm for the same seed]",
+        ),
+    ] = None,
     jobs: Jobs = None,
     junit: Annotated[Path | None, output_option(help="Write JUnit XML for a CI server.")] = None,
     json: JsonFile = None,
@@ -86,6 +97,23 @@ def check_command(
             metavar="DIR", help="Folder of the tables.  \\[default: golden/ beside each scenario]"
         ),
     ] = None,
+    trend: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Fly nothing: show the numbers of kept results of --json over commits, one file "
+            "in DIR for each, in order of their names.",
+        ),
+    ] = None,
+    figures: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="With --trend, draw each quantity over the commits as a file in this folder.",
+            callback=check_output_folder,
+        ),
+    ] = None,
+    format: FigureFormat = None,
     update: Annotated[
         bool, typer.Option("--update", help="Write new tables instead; needs --reason.")
     ] = False,
@@ -97,18 +125,33 @@ def check_command(
     """Fly scenarios and compare their metrics with golden tables."""
     from testbed.cli.progress import progress_counter
     from testbed.studies.golden import check, find_cases, update_tables
-    from testbed.studies.golden_ci import (
-        error_annotations,
-        input_annotations,
-        to_github,
-        to_junit,
-        to_markdown,
-        write_junit,
-    )
+    from testbed.studies.golden_annotations import annotations_of, input_annotations, to_github
+    from testbed.studies.golden_ci import to_junit, to_markdown, write_junit
     from testbed.studies.golden_report import print_check, print_updates, to_document
+    from testbed.studies.golden_tolerance import parse_tolerances
 
+    ending = figure_format(format, figures)
+    if trend is not None:
+        changed: dict[str, object] = {
+            "--seeds": seeds,
+            "--set": overrides,
+            "--tolerance": tolerance,
+            "--jobs": jobs,
+        }
+        changed |= {"--junit": junit, "--summary": summary, "--reports": reports}
+        changed |= {"--annotations": annotations, "--golden": golden, "--update": update or None}
+        for option, value in {**changed, "--reason": reason}.items():
+            if value is not None:
+                raise InputError(f"{option}: --trend flies nothing; leave {option} out")
+        show_trend(trend, scenarios or (), json=json, figures=figures, ending=ending)
+        return
+    if figures:
+        raise InputError("--figures: are of --trend DIR; write it too, or --reports for failures")
     outputs = {"--junit": junit, "--json": json, "--summary": summary, "--reports": reports}
     _check_options(outputs, update=update, reason=reason, overrides=overrides)
+    tolerances = parse_tolerances(tolerance or ())
+    if tolerances and update:
+        raise InputError("--tolerance: --update compares nothing; leave --tolerance out")
     console = result_console(json)
     if reports:
         import testbed.views.matplotlib_backend  # noqa: F401 - its extra is needed, before flights
@@ -143,7 +186,14 @@ def check_command(
         passed = all(each.table for each in updates)
     else:
         with progress_counter("flights", rate="flights") as progress:
-            verdicts = check(cases, seeds=seeds, jobs=jobs, progress=progress, report=report)
+            verdicts = check(
+                cases,
+                seeds=seeds,
+                jobs=jobs,
+                progress=progress,
+                report=report,
+                tolerances=tolerances,
+            )
         if junit:
             write_junit(junit, to_junit(verdicts))
         document = to_document(verdicts)
@@ -151,7 +201,7 @@ def check_command(
         _write_summary(summary, to_markdown(verdicts))
         print_check(verdicts, console)
         if annotations:
-            for each in error_annotations(cases, verdicts):
+            for each in annotations_of(cases, verdicts):
                 console.write_line(to_github(each))
         if reports:
             _write_reports(cases, verdicts, reports, console)

@@ -126,9 +126,15 @@ def check_figures(figures: Iterable[Figure], folder: Path | None, ending: str) -
 
 
 def write_figures(
-    figures: Iterable[Figure], folder: Path, ending: str, console: PipeSafeConsole
+    figures: Iterable[Figure],
+    folder: Path,
+    ending: str,
+    console: PipeSafeConsole,
+    *,
+    titled: bool = True,
+    width_in: float | None = None,
 ) -> None:
-    """Write figures as files, and print their folder and size.
+    """Write figures as files, and print their folder and size; see `save_figures`.
 
     Raises:
         InputError: a file cannot be written.
@@ -137,7 +143,7 @@ def write_figures(
     from testbed.reports import save_figures
 
     with report_write_errors(f"--figures {folder}"):
-        files = save_figures(figures, folder, ending)
+        files = save_figures(figures, folder, ending, titled=titled, width_in=width_in)
     record_folder_output(folder, [each.name for each in files])
     console.write_line(f" figures  {len(files)} in {folder}, {format_size(*files)}")
 

@@ -10,8 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from testbed.cli.options import JsonFile
-from testbed.cli.output import check_output_folder, result_console, write_json_output
+from testbed.cli.options import JsonFile, finite_option, output_option
+from testbed.cli.output import (
+    check_output_folder,
+    describe_file,
+    result_console,
+    write_json_output,
+)
 from testbed.cli.report import (
     FigureFormat,
     Figures,
@@ -23,13 +28,15 @@ from testbed.cli.report import (
     write_report,
 )
 from testbed.core.errors import InputError
-from testbed.core.files import report_write_errors
+from testbed.core.files import report_write_errors, write_text_file
 
 if TYPE_CHECKING:
     from testbed.reports.study import StudyData, StudyFlights
     from testbed.reports.study.report_table import Cell
     from testbed.studies.study_schema import StudyConfig
     from testbed.studies.table import StudyTable
+
+WIDTHS_IN = 2.0, 20.0  # of figures for papers
 
 
 def study_report_command(
@@ -55,6 +62,25 @@ def study_report_command(
     ] = "median",
     figures: Figures = None,
     format: FigureFormat = None,
+    width: Annotated[
+        float | None,
+        finite_option(
+            "IN",
+            "Width of these figures in inches, with text of 8 points, for the column of a paper: "
+            f"{WIDTHS_IN[0]:g} to {WIDTHS_IN[1]:g}.  \\[default: 11, as in the report]",
+        ),
+    ] = None,
+    no_title: Annotated[
+        bool, typer.Option("--no-title", help="Draw these figures without their titles.")
+    ] = False,
+    latex: Annotated[
+        Path | None,
+        output_option(
+            metavar="FILE.tex",
+            help="Also write the metrics by case and point as a LaTeX table.",
+            suffixes=(".tex",),
+        ),
+    ] = None,
     tables: Annotated[
         Path | None,
         typer.Option(
@@ -68,6 +94,7 @@ def study_report_command(
     """Write a report of a study: results, effects of parameters, losses, commands to repeat."""
     from testbed.logs.file_record import check_folder_output, record_folder_output
     from testbed.reports.study import (
+        latex_table,
         study_figures,
         study_page,
         study_tables,
@@ -78,6 +105,12 @@ def study_report_command(
     from testbed.reports.study.study_data import STATISTICS
 
     ending = figure_format(format, figures)
+    if (width is not None or no_title) and not figures:
+        option = "--no-title" if no_title else f"--width {width:g}"
+        raise InputError(f"{option}: is of the figures of --figures DIR; write a folder too")
+    if width is not None and not WIDTHS_IN[0] <= width <= WIDTHS_IN[1]:
+        low, high = WIDTHS_IN
+        raise InputError(f"--width {width:g}: write {low:g} to {high:g}, in inches")
     if statistic not in STATISTICS:
         raise InputError(f"--statistic {statistic}: write one of {', '.join(STATISTICS)}")
     path = find_study_file(study)
@@ -94,7 +127,11 @@ def study_report_command(
     print_summary(data, console)
     write_report(page, report, console, default=out is None)
     if figures:
-        write_figures(drawn, figures, ending, console)
+        write_figures(drawn, figures, ending, console, titled=not no_title, width_in=width)
+    if latex:
+        with report_write_errors(f"--latex {latex}"), write_text_file(latex) as file:
+            file.write(latex_table(data))
+        console.write_line(f" LaTeX    {describe_file(latex)}")
     if tables:
         with report_write_errors(f"--tables {tables}"):
             files = write_tables(listed, tables)
@@ -136,8 +173,10 @@ def read_study(path: Path, *, metrics: Sequence[str], statistic: str) -> StudyDa
             window.
         statistic: a key of `STATISTICS`.
 
+    A metric that the study names and no run has is left out, and is in `missing`.
+
     Raises:
-        InputError: this is not a study's file, it has no runs, or there is no such metric.
+        InputError: this is not a study's file, it has no runs, or none has a metric of `metrics`.
     """
     from testbed.reports.study import StudyData
     from testbed.studies.table import read_table
@@ -149,13 +188,15 @@ def read_study(path: Path, *, metrics: Sequence[str], statistic: str) -> StudyDa
     flights = _flights(table)
     commands = dict(zip(flights.run.tolist(), table.columns["command"].tolist(), strict=True))
     head = config.study if config else None
+    selected, missing = _select_metrics(path, flights, metrics, head.metrics if head else ())
     return StudyData(
         name=table.metadata.get("study.name", path.stem),
         file=path.name,
         question=head.question if head else "",
         scenario=_scenario_names(config),
         design=(head.design or "factorial") if head and config and config.vary else "",
-        metrics=_select_metrics(path, flights, metrics, head.metrics if head else ()),
+        metrics=selected,
+        missing=missing,
         statistic=statistic,
         flights=flights,
         planned=table.planned,
@@ -218,22 +259,23 @@ def _flights(table: StudyTable) -> StudyFlights:
 
 def _select_metrics(
     path: Path, flights: StudyFlights, requested: Sequence[str], of_study: Sequence[str]
-) -> tuple[str, ...]:
-    from testbed.scenario.problems import did_you_mean
-    from testbed.studies.journal import default_metric
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the metrics to report, and those of the study that no run has.
 
+    Raises:
+        InputError: no run has a requested one.
+    """
+    from testbed.studies.journal import default_metric
+    from testbed.studies.plan_check import describe_unknown
+
+    known = tuple(flights.metrics)
+    for name in requested:
+        if name not in known:
+            raise InputError(f"{path}: --metric: {describe_unknown(name, known)}")
     names = tuple(dict.fromkeys(requested or of_study))
-    if not names:
-        return default_metric(flights.metrics) or tuple(flights.metrics)[:1]
-    for name in names:
-        if name not in flights.metrics:
-            near = did_you_mean(name, flights.metrics)
-            known = [each for each in flights.metrics if each.startswith("windows.")][:6]
-            raise InputError(
-                f"{path}: {name}: this study has no such number{near} (write for example "
-                f"{', '.join(known or list(flights.metrics)[:6])})"
-            )
-    return names
+    missing = tuple(name for name in names if name not in known)
+    found = tuple(name for name in names if name in known)
+    return found or default_metric(known) or known[:1], missing
 
 
 def _document(study: StudyData) -> dict[str, Any]:
@@ -246,6 +288,7 @@ def _document(study: StudyData) -> dict[str, Any]:
         "runs": study.flights.run.size,
         "planned": study.planned,
         "statistic": study.statistic,
+        "missing_metrics": list(study.missing),
         "tables": {
             table.name: [
                 {

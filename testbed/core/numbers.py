@@ -24,6 +24,12 @@ def parse_number(text: str) -> float | None:
     return value if math.isfinite(value) else None
 
 
+def parse_percent(text: str) -> float | None:
+    """Read a percentage such as 5% or 2.5 %; None: it is not one."""
+    number, percent, rest = text.partition("%")
+    return parse_number(number.rstrip(" ")) if percent and not rest else None
+
+
 def parse_whole(text: str) -> int | None:
     """Read a whole number of at most 40 digits; None: it is not one."""
     return int(text) if len(text) <= _MAX_DIGITS and _WHOLE.fullmatch(text) else None

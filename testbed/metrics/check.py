@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from enum import IntFlag
 from functools import cache
 
 from pydantic import TypeAdapter, ValidationError
@@ -14,6 +13,7 @@ from testbed.formation.law import LimiterFlag, Saturation
 from testbed.metrics.document import OUTCOMES
 from testbed.metrics.facts import facts
 from testbed.metrics.model import Metrics
+from testbed.metrics.names import flag_names
 from testbed.metrics.summary import SCHEMA
 from testbed.metrics.tables import (
     arrival_tables,
@@ -41,8 +41,8 @@ def check_metrics(document: Metrics, info: RunInfo, where: str) -> None:
         "names": info.names,
         "followers": info.names[1:],
         "windows": tuple(info.windows),
-        "limiter_flags": _flag_names(LimiterFlag),
-        "saturations": _flag_names(Saturation),
+        "limiter_flags": flag_names(LimiterFlag),
+        "saturations": flag_names(Saturation),
     }
     # an empty map stands for no external programs
     given = {key: value for key, value in document.items() if value or key not in _EXTERNAL}
@@ -72,10 +72,6 @@ _EXTERNAL = ("pace", "mavlink", "arduplane", "commanded", "expect")
 @cache
 def _adapter() -> TypeAdapter[Metrics]:
     return TypeAdapter(Metrics)
-
-
-def _flag_names(kind: type[IntFlag]) -> list[str]:
-    return [str(flag.name).lower() for flag in kind]
 
 
 def _render(document: Metrics, info: RunInfo) -> None:

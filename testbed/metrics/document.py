@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from testbed.core.files import report_write_errors, write_text_file
-from testbed.metrics.expectations import check_expectations
+from testbed.metrics.expectations import check_expectations, compares_flights
 from testbed.metrics.model import Metrics
 
 SEPARATION_LOST = "loss of separation"
@@ -66,7 +66,7 @@ def finalise(
         "wall_s": wall_s,
         "real_time_factor": factor,
     }
-    if expect:
+    if expect and compares_flights(expect):
         document["expect"] = check_expectations(document, expect)
     return cast("Metrics", document)
 

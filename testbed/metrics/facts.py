@@ -33,7 +33,7 @@ _ESTIMATE_LINES = (
     (("velocity_mps", "velocity {:.2f} m/s"), ("airspeed_mps", "airspeed {:.2f} m/s")),
     (("tilt_deg", "tilt {:.1f}°"), ("heading_deg", "heading {:.1f}°")),
 )
-_LOST = {
+LOSSES = {
     "lost": "random",
     "faded": "out of range",
     "corrupted": "corrupted",
@@ -176,7 +176,7 @@ def describe_network(network: NetworkMetrics | None) -> list[str]:
         share = percent(total["delivered_share"])
         lines.append(f"{share} of {total['sent']:,} delivered{_worst(network['links'])}")
     lost = ", ".join(
-        f"{_LOST[reason]} {count:,}" for reason, count in total["lost"].items() if count
+        f"{LOSSES[reason]} {count:,}" for reason, count in total["lost"].items() if count
     )
     others = [f"{total[key]:,} {key}" for key in ("overtaken", "duplicated") if total[key]]
     lines.append("; ".join(filter(None, (f"lost: {lost}" if lost else "", ", ".join(others)))))

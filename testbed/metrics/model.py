@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal, TypeAlias, TypeVar
 
 from pydantic import AfterValidator, Field, ValidationInfo
@@ -22,11 +23,14 @@ Pair: TypeAlias = Annotated[list[_ValueT], Field(min_length=2, max_length=2)]
 Triple: TypeAlias = Annotated[list[_ValueT], Field(min_length=3, max_length=3)]
 
 
-def _keys(kind: str) -> AfterValidator:
-    """Make a check that the keys of a map are the names of this kind in the run, in order."""
+class _Keys:
+    """Check that the keys of a map are the names of a kind in the run, in order."""
 
-    def check(values: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
-        expected: Sequence[str] = (info.context or {})[kind]
+    def __init__(self, kind: str) -> None:
+        self.kind = kind
+
+    def __call__(self, values: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
+        expected: Sequence[str] = (info.context or {})[self.kind]
         for name in expected:
             if name not in values:
                 raise PydanticCustomError("key", "is missing", {"key": (name,)})
@@ -34,7 +38,22 @@ def _keys(kind: str) -> AfterValidator:
             raise PydanticCustomError("keys", "its keys are not those of the run, in order")
         return values
 
-    return AfterValidator(check)
+
+def _keys(kind: str) -> AfterValidator:
+    return AfterValidator(_Keys(kind))
+
+
+@dataclass(frozen=True, slots=True)
+class _PossibleKeys:
+    """Note that a map has some of the names of a kind as keys."""
+
+    kind: str
+
+
+def key_kind(note: object) -> str:
+    """Return of which kind the keys of a map are, by a note of its type; "" of none."""
+    found = getattr(note, "func", note)
+    return found.kind if isinstance(found, _Keys | _PossibleKeys) else ""
 
 
 ByWindow = Annotated[dict[str, _ValueT], _keys("windows")]
@@ -146,7 +165,7 @@ class LinkMetrics(TypedDict):
     sent: Count
     delivered: Count
     delivered_share: Known
-    lost: dict[str, Count]
+    lost: Annotated[dict[str, Count], _PossibleKeys("losses")]
     muted: Count
     duplicated: Count
     overtaken: Count

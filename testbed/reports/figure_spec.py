@@ -66,6 +66,31 @@ def make_figure(name: str, spec: FigureSpec, subtitle: str, note: str = "") -> F
     return Figure(name, spec.title, spec.caption + note, grid)
 
 
+PAPER_SCALE = 8.0 / 12.0  # of a figure for a paper: text of 8 points in place of 12
+MIN_PANEL_IN = 4.4  # width of a panel before it is scaled, below which panels stand in one column
+TITLES_IN = 0.8  # height of title and subtitle
+
+
+def fit_width(grid: PanelGrid, width_in: float, *, titled: bool) -> PanelGrid:
+    """Return a figure of another width, inches, with its panels in one column where it is narrow.
+
+    Rows keep their height; without a title the figure is lower.
+    """
+    count = len(grid.widths)
+    rows, widths = grid.rows, grid.widths
+    height_in = grid.inches[1] - TITLES_IN
+    if count > 1 and width_in < count * MIN_PANEL_IN:
+        rows = [[panel] for row in grid.rows for panel in row]
+        widths = (1.0,)
+        height_in *= len(rows) / len(grid.rows)
+    return replace(
+        grid,
+        rows=rows,
+        widths=widths,
+        inches=(width_in, height_in + TITLES_IN * titled),
+    )
+
+
 AXIS_IN = 10.0  # approximate length of the time axis, inches
 LETTER_IN, GAP_IN = 0.085, 0.1  # of the name of a window, and after it, inches
 NAME_LINES = 4  # for the names of windows

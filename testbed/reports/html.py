@@ -18,7 +18,7 @@ from rich.table import Table
 from rich.text import Text
 
 from testbed.core.files import write_text_file
-from testbed.reports.figure_spec import Figure
+from testbed.reports.figure_spec import PAPER_SCALE, Figure, fit_width
 from testbed.views.panels import BLACK, GREY, GRID, ON_DARK, ON_WHITE, PATH
 
 STYLES = ("green", "red", "yellow", "dim", "bold")
@@ -272,13 +272,22 @@ def figure_file(figure: Figure, ending: str) -> str:
     return f"{figure.name}.{ending}"
 
 
-def save_figures(figures: Iterable[Figure], folder: Path, ending: str) -> list[Path]:
+def save_figures(
+    figures: Iterable[Figure],
+    folder: Path,
+    ending: str,
+    *,
+    titled: bool = True,
+    width_in: float | None = None,
+) -> list[Path]:
     """Write figures to a folder, which is made if needed; return the files.
 
     Args:
         figures: with different names.
         folder: of the files.
         ending: one of `FORMATS`.
+        titled: draw title and subtitle.
+        width_in: of the figures, inches, with text of 8 points; None: that of a report.
 
     Raises:
         OSError: a file cannot be written.
@@ -289,7 +298,11 @@ def save_figures(figures: Iterable[Figure], folder: Path, ending: str) -> list[P
     paths = []
     for figure in figures:
         paths.append(folder / figure_file(figure, ending))
-        save_figure(figure.grid, paths[-1])
+        if width_in is None:
+            save_figure(figure.grid, paths[-1], titled=titled)
+        else:
+            grid = fit_width(figure.grid, width_in / PAPER_SCALE, titled=titled)
+            save_figure(grid, paths[-1], titled=titled, scale=PAPER_SCALE)
     return paths
 
 

@@ -8,10 +8,12 @@ from pydantic import (
     ConfigDict,
     Field,
     SerializerFunctionWrapHandler,
+    WithJsonSchema,
     model_serializer,
 )
 from pydantic_core import PydanticCustomError
 
+from testbed.core.numbers import parse_percent
 from testbed.scenario.fields import Finding, KeyPath, Number, Section
 from testbed.scenario.problems import did_you_mean
 
@@ -27,6 +29,29 @@ def _refuse_number(value: Any) -> Any:  # noqa: ANN401 - any YAML value
     return value
 
 
+def _check_change(value: Any) -> Any:  # noqa: ANN401 - any YAML value
+    """Check a number of 0 or more, or a percentage such as 5%."""
+    number = parse_percent(value) if isinstance(value, str) else value
+    if isinstance(number, bool) or not isinstance(number, int | float) or not number >= 0.0:
+        raise PydanticCustomError("change", "must be a number of 0 or more, or a percentage (5%)")
+    return value if isinstance(value, str) else float(value)
+
+
+Change = Annotated[
+    Any,
+    BeforeValidator(_check_change),
+    WithJsonSchema(
+        {
+            "anyOf": [
+                {"type": "number", "minimum": 0},
+                {"type": "string", "pattern": r"^[0-9.]+ *%$"},
+            ]
+        }
+    ),
+]
+"""How far a number may be from that of its golden table: in its unit, or as a percentage."""
+
+
 class _WithoutMissing(Section):
     """A section that is written without the keys that it does not have."""
 
@@ -40,6 +65,24 @@ class Bounds(_WithoutMissing):
 
     min: Number | None = Field(None, description="Smallest accepted value.")
     max: Number | None = Field(None, description="Largest accepted value.")
+    not_above: Change | None = Field(
+        None,
+        description="How far it may be above its golden table: in the unit, or as 5%. A number "
+        "that is better passes.",
+    )
+    not_below: Change | None = Field(
+        None, description="How far it may be below its golden table, in the same way."
+    )
+
+    @property
+    def empty(self) -> bool:
+        """Whether there is no bound."""
+        return all(getattr(self, side) is None for side in SIDES)
+
+    @property
+    def of_table(self) -> bool:
+        """Whether there is a bound that a golden table decides."""
+        return self.not_above is not None or self.not_below is not None
 
 
 OfOne = Annotated[Bounds, BeforeValidator(_refuse_number)]
@@ -108,6 +151,12 @@ class Expect(_WithoutMissing):
         return {name: bounds for name, bounds in values.items() if bounds is not None}
 
 
+SIDES = ("min", "max", "not_above", "not_below")
+# those of which golden tables have numbers
+TABLE_QUANTITIES = (
+    *("rms_m", "mean_rms_m", "estimated_mean_rms_m", "min_separation_m"),
+    *("joined_at_s", "relative_position_error_m"),
+)
 WINDOW_QUANTITIES = (
     *("rms_m", "max_error_m", "estimated_rms_m"),
     *("mean_rms_m", "estimated_mean_rms_m", "percent_error"),
@@ -146,9 +195,9 @@ def _named(
             kinds = "windows and followers are" if set(known) - set(followers) else "followers are"
             if known and not set(known) & set(followers):
                 kinds = "windows are"
-            hint = did_you_mean(name, [*known, "min", "max"])
-            names = f" ({kinds} {', '.join(known)})" if known else " (write min or max)"
-            yield (*at, name), f"is not min, max or a name here{hint}{names}"
+            hint = did_you_mean(name, [*known, *SIDES])
+            names = f" ({kinds} {', '.join(known)})" if known else f" (write {', '.join(SIDES)})"
+            yield (*at, name), f"is not {', '.join(SIDES)} or a name here{hint}{names}"
             continue
         yield from _contradictions((*at, name), own)
         yield from _named((*at, name), own, [] if name in followers else followers, followers)
@@ -156,7 +205,15 @@ def _named(
 
 def _contradictions(at: KeyPath, bounds: Bounds) -> Iterator[Finding]:
     named = bounds.named if isinstance(bounds, NamedBounds) else {}
-    if bounds.min is None and bounds.max is None and not named:
+    if bounds.of_table and at[1] not in TABLE_QUANTITIES:
+        yield (
+            at,
+            (
+                "is in no golden table, of which not_above and not_below are (write min or max, or "
+                f"another quantity: {', '.join(TABLE_QUANTITIES)})"
+            ),
+        )
+    if bounds.empty and not named:
         yield at, "has no bounds (write {max: 1}, for example)"
     elif bounds.min is not None and bounds.max is not None and bounds.min > bounds.max:
         yield (*at, "min"), f"{bounds.min:g} is above max, {bounds.max:g} (write less, or more)"

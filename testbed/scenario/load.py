@@ -68,8 +68,8 @@ class ScenarioFile:
 
         Args:
             overrides: texts `key.path=value`, applied in order after `extends`.
-            settings_folder: of the file that has them, outside of which they run no code; None:
-                the caller wrote them.
+            settings_folder: of the file that has them: the first base of their relative paths,
+                outside of which they run no code; None: the caller wrote them.
 
         Raises:
             ScenarioError: with every problem found, each with its place.
@@ -252,7 +252,8 @@ def _set(tree: Node, settings: Sequence[Setting]) -> tuple[Node, Node]:
 
 
 def _resolve(tree: Node, overrides: Sequence[str], settings_folder: Path | None = None) -> Scenario:
-    settings = [parse_setting(text) for text in check_overrides("overrides", overrides)]
+    texts = check_overrides("overrides", overrides)
+    settings = [parse_setting(text, settings_folder) for text in texts]
     unchanged, tree = _set(tree, settings)
     try:
         scenario = resolve_references(validate(tree, Scenario), tree, settings_folder)
@@ -388,8 +389,12 @@ class Setting:
         return node
 
 
-def parse_setting(text: str) -> Setting:
+def parse_setting(text: str, folder: Path | None = None) -> Setting:
     """Read `key.path=value`, the value in YAML.
+
+    Args:
+        text: as written.
+        folder: base of relative paths in the value; None: the working directory.
 
     Raises:
         ScenarioError: the text is not of that form.
@@ -404,7 +409,7 @@ def parse_setting(text: str) -> Setting:
             FilePosition(source), "is not key.path=value (write for example rates.log_hz=50)"
         )
     try:
-        node = parse(value, source, Path.cwd())
+        node = parse(value, source, folder or Path.cwd())
     except ScenarioError as error:
         raise error_at(FilePosition(source), error.problems[0].text, keys) from None
     return Setting(text, keys, _placed(node, FilePosition(source)))

@@ -6,11 +6,11 @@ is that of a file there; no other folder is searched.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from testbed.core.errors import InputError
 from testbed.scenario.aircraft import Follower, Leader
@@ -24,6 +24,7 @@ from testbed.scenario.schema import Scenario
 from testbed.scenario.single_aircraft import SingleAircraft
 from testbed.scenario.yaml_io import Node, error_at, walk
 
+_Found = TypeVar("_Found")
 _DATA = Path("scenarios/data")
 _YAML, _PARAM = ".yaml", ".param"
 _PACKAGE = Path(__file__).resolve().parent.parent
@@ -225,6 +226,11 @@ def aircraft_reference(folder: Path) -> str:
     return folder.name if folder == library() / "aircraft" / folder.name else str(folder)
 
 
+def scenario_reference(file: Path) -> str:
+    """Return the name of a scenario of the library, or the path of another."""
+    return file.stem if file == library() / "scenarios" / file.name else str(file)
+
+
 def tune_reference(aircraft: Path, tune: Path) -> str:
     """Return the name of a tune in the folder of its airframe, or the path of another."""
     return tune.stem if tune == aircraft / f"{tune.stem}.param" else str(tune)
@@ -248,49 +254,100 @@ class _Resolver:
 
     def aircraft(self, loc: KeyPath, aircraft: Leader | Follower) -> None:
         """Resolve the airframe and the autopilot parameters."""
-        with self.problems_at(*loc, "aircraft") as folder:
-            home = find_aircraft(aircraft.aircraft, folder=folder)
+        with self.problems_at(*loc, "aircraft") as folders:
+            home = _first(folders, lambda each: find_aircraft(aircraft.aircraft, folder=each))
             self.changes.append(((*loc, "aircraft"), aircraft_reference(home)))
-            with self.problems_at(*loc, "tune") as folder:
-                tune = find_tune(home, aircraft.tune, folder=folder)
+            with self.problems_at(*loc, "tune") as folders:
+                tune = _first(folders, lambda each: find_tune(home, aircraft.tune, folder=each))
                 self.changes.append(((*loc, "tune"), tune_reference(home, tune)))
+
+    def begin(self, loc: KeyPath, scenario: str) -> None:
+        """Resolve the scenario that a flight begins as."""
+        with self.problems_at(*loc) as folders:
+            found = _first(folders, lambda each: find_scenario(scenario, folder=each))
+            self.changes.append((loc, scenario_reference(found)))
 
     def recording(self, loc: KeyPath, file: str) -> None:
         """Resolve a data file."""
-        with self.problems_at(*loc) as folder:
-            found = find_data(file, folder=folder)
+        with self.problems_at(*loc) as folders:
+            found = _first(folders, lambda each: find_data(file, folder=each))
             self.changes.append((loc, data_reference(found)))
 
     def gains(self, loc: KeyPath, file: str) -> None:
         """Resolve a file of gains."""
-        with self.problems_at(*loc) as folder:
-            found = absolute(file, folder)
-            if not is_file(found):
-                text = f"there is no file {found} (write the path of a file like an airframe's "
-                raise error_at(FilePosition(str(found)), f"{text}{_GAINS})")
-            self.changes.append((loc, str(found)))
+        with self.problems_at(*loc) as folders:
+            self.changes.append((loc, str(_first(folders, lambda each: find_gains(file, each)))))
 
     def code(self, loc: KeyPath, name: str) -> None:
         """Resolve a user's own law or function."""
-        with self.problems_at(*loc) as folder:
+        with self.problems_at(*loc) as folders:
             # in a text or a setting, unlike in a file, the caller chooses the code
             in_file = is_file(Path(walk(self.tree, loc)[0].place.source))
-            within = folder if in_file else self._settings_folder
-            found = find_code(name, folder=folder, within=within)
+            within = folders[0] if in_file else self._settings_folder
+            found = _first(folders, lambda each: _code_file(name, each, within), name)
             file, _, object_name = found.rpartition(":")
             if Path(file).parent == library() / "scenarios":
                 found = f"{Path(file).stem}:{object_name}"
             self.changes.append((loc, found))
 
     @contextmanager
-    def problems_at(self, *loc: str | int) -> Iterator[Path]:
-        """Yield the base of relative paths at a location, the place of the block's problems."""
+    def problems_at(self, *loc: str | int) -> Iterator[tuple[Path, ...]]:
+        """Yield the bases of relative paths at a location, the place of the block's problems.
+
+        The base is the folder of the file; of a setting in a study, its folder and then the working
+        directory.
+        """
         node, path, left = walk(self.tree, loc)
+        folders = [node.folder]
+        if self._settings_folder is not None and node.place.source.startswith("--set "):
+            folders.append(Path.cwd())
         try:
-            yield node.folder
+            yield tuple(folders)
         except ScenarioError as error:
             texts = (problem.text for problem in error.problems)
             self.problems += [Problem(node.place, text, path + left) for text in texts]
+
+
+def _first(
+    folders: Sequence[Path], find: Callable[[Path], _Found | None], default: _Found | None = None
+) -> _Found:
+    """Return what is found from the first of these folders, else the default.
+
+    Raises:
+        ScenarioError: that of the first folder with an error.
+    """
+    first: ScenarioError | None = None
+    for folder in folders:
+        try:
+            found = find(folder)
+        except ScenarioError as error:
+            first = first or error
+        else:
+            if found is not None:
+                return found
+    if first is None and default is not None:
+        return default
+    assert first is not None
+    raise first
+
+
+def _code_file(name: str, folder: Path, within: Path | None) -> str | None:
+    """Return what `find_code` does, or None for the name of an installed module."""
+    found = find_code(name, folder=folder, within=within)
+    return None if found == name else found
+
+
+def find_gains(file: str, folder: Path | None = None) -> Path:
+    """Return a file of gains, by its path (from `folder`, or here).
+
+    Raises:
+        ScenarioError: there is no such file.
+    """
+    found = absolute(file, folder)
+    if not is_file(found):
+        text = f"there is no file {found} (write the path of a file like an airframe's {_GAINS})"
+        raise error_at(FilePosition(str(found)), text)
+    return found
 
 
 def resolve_references(
@@ -304,6 +361,7 @@ def resolve_references(
         scenario: validated.
         tree: that it was made of.
         settings_folder: of the file that has the settings, as a study; None: the caller wrote them.
+            Their relative paths are from there, or else from here.
 
     Raises:
         ScenarioError: with every file that cannot be found.
@@ -312,6 +370,8 @@ def resolve_references(
     resolver.aircraft(("leader",), scenario.leader)
     for index, follower in enumerate(scenario.fleet):
         resolver.aircraft(("fleet", index), follower)
+    if scenario.scenario.begin is not None:
+        resolver.begin(("scenario", "begin", "scenario"), scenario.scenario.begin.scenario)
     if scenario.leader.path.kind == "replay":
         resolver.recording(("leader", "path", "file"), scenario.leader.path.file)
     if scenario.air.wind.file is not None:

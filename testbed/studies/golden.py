@@ -3,16 +3,25 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from testbed.core.errors import InputError
+from testbed.plan.code_check import check_code
 from testbed.runs.bounds import bound_results
-from testbed.scenario import Scenario, find_scenario, library, load_scenario, set_seed
+from testbed.scenario import (
+    Scenario,
+    find_scenario,
+    library,
+    load_scenario,
+    place_of_key,
+    set_seed,
+)
 from testbed.studies.flight_pool import group_numbers, open_flight_pool
 from testbed.studies.flight_task import FlightTask
 from testbed.studies.golden_compare import (
+    RULES_ALONE,
     FlightProblem,
     GoldenFlight,
     Verdict,
@@ -28,10 +37,12 @@ from testbed.studies.golden_table import (
     table_numbers,
     write_table,
 )
+from testbed.studies.golden_tolerance import Change, Tolerances
 from testbed.studies.scenario_snapshot import read_inputs
 
 CHECKED_SEEDS = 4  # of a table's seeds, flown by a check
 RANDOM_SEEDS = 16  # in a table of a scenario whose numbers depend on the seed: enough for a band
+NO_TOLERANCES: Mapping[str, Change] = {}
 DETERMINISTIC_SEEDS = 2  # in a table of any other scenario: enough to detect random numbers
 
 Progress = Callable[[int, int], None]
@@ -123,6 +134,11 @@ def _find_case(name: str, folder: Path | None, new: bool, overrides: tuple[str, 
     source = find_scenario(name)
     path = _relative((folder or source.parent / "golden") / f"{source.stem}.json")
     scenario = load_scenario(source, overrides)
+    try:
+        check_code(scenario)
+    except InputError as error:
+        place = place_of_key(str(error), source, overrides)
+        raise InputError(f"{place}: {error}" if place else str(error)) from None
     if not scenario.scenario.windows:
         raise InputError(
             f"{_relative(source)}:1:1: has no scenario.windows, so there is nothing to compare"
@@ -154,6 +170,7 @@ def check(
     jobs: int,
     progress: Progress,
     report: Report = lambda line: None,
+    tolerances: Mapping[str, Change] = NO_TOLERANCES,
 ) -> list[Verdict]:
     """Fly scenarios and compare each with its table; nothing is written.
 
@@ -164,6 +181,7 @@ def check(
         jobs: processes at once.
         progress: called with the number of finished flights and of all.
         report: called with a line when kernels are compiled.
+        tolerances: in place of those of the scenarios' `expect`; see `parse_tolerances`.
     """
     tables = [case.table for case in cases if case.table]
     chosen = [
@@ -172,7 +190,8 @@ def check(
     ]
     flights = _fly_seeds(cases, chosen, jobs, progress, report)
     return [
-        _compare(case, table, own) for case, table, own in zip(cases, tables, flights, strict=True)
+        _compare(case, table, own, Tolerances(tolerances, case.scenario.expect.model_dump()))
+        for case, table, own in zip(cases, tables, flights, strict=True)
     ]
 
 
@@ -181,7 +200,12 @@ def _choose_seeds(available: Sequence[int], count: int) -> list[int]:
     return [*available[:count], *following]
 
 
-def _compare(case: GoldenCase, table: GoldenTable, flights: Sequence[GoldenFlight]) -> Verdict:
+def _compare(
+    case: GoldenCase,
+    table: GoldenTable,
+    flights: Sequence[GoldenFlight],
+    tolerances: Tolerances = RULES_ALONE,
+) -> Verdict:
     documents = {flight.seed: flight.metrics for flight in flights if flight.metrics}
     return compare(
         case.name,
@@ -190,6 +214,7 @@ def _compare(case: GoldenCase, table: GoldenTable, flights: Sequence[GoldenFligh
         inputs=read_inputs(case.scenario, case.source.parent),
         bounds=bound_results(documents, case.source, case.overrides),
         overrides=case.overrides,
+        tolerances=tolerances,
     )
 
 

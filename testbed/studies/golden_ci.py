@@ -1,31 +1,28 @@
-"""Report comparisons with golden tables to CI: Markdown, JUnit XML, annotations of files."""
+"""Report comparisons with golden tables to CI: Markdown and JUnit XML."""
 
 from __future__ import annotations
 
 import html
-import os
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree as xml
 
 from testbed.core.files import report_write_errors, write_text_file
-from testbed.core.input_files import read_bounded_text
-from testbed.core.numbers import parse_whole
-from testbed.scenario import FilePosition, ScenarioError
-from testbed.studies.golden import GoldenCase
 from testbed.studies.golden_compare import RowComparison, Verdict, Violation
 from testbed.studies.golden_report import (
     MAX_COMMANDS,
     change_lines,
     failing_seeds,
+    format_change,
     format_number,
     format_seeds,
+    improvement_line,
     run_command,
+    update_command,
     violation_line,
 )
-from testbed.studies.golden_table import MAX_GOLDEN_BYTES, row_label
+from testbed.studies.golden_table import row_label
 
 BAR_CELLS = 12  # of the longest bar
 MAX_TABLE_ROWS = 40
@@ -56,6 +53,7 @@ def to_markdown(verdicts: Sequence[Verdict], input_errors: Sequence[str] = ()) -
         lines += _overview(verdicts)
     for verdict in failed:
         lines += ["", *_failed(verdict)]
+    lines += _improved(verdicts)
     if verdicts:
         lines += ["", "### RMS errors and all other numbers"]
     for verdict in verdicts:
@@ -106,6 +104,28 @@ def _failed(verdict: Verdict) -> Iterator[str]:
     yield "```"
 
 
+def _improved(verdicts: Sequence[Verdict]) -> Iterator[str]:
+    """List numbers that pass because they are better, and the command that keeps them."""
+    improved = [each for each in verdicts if each.improved]
+    if not improved:
+        return
+    yield ""
+    yield "### Better than the golden table"
+    yield ""
+    for verdict in improved:
+        lines = [
+            f"- {_text(f'{verdict.name}: {improvement_line(row)}')}" for row in verdict.improved
+        ]
+        yield from (*lines[:MAX_LINES], *_rest(len(lines) - MAX_LINES))
+    if kept := [each for each in improved if each.passed and not each.overrides]:
+        yield ""
+        yield "To keep these numbers:"
+        yield ""
+        yield "```sh"
+        yield update_command(kept)
+        yield "```"
+
+
 def _folded(title: str, lines: Sequence[str]) -> Iterator[str]:
     """Hide lines behind a title that opens them."""
     yield f"<details><summary>{_text(title)}</summary>"
@@ -145,8 +165,7 @@ def _table(rows: Sequence[RowComparison]) -> Iterator[str]:
     yield "|---|--:|--:|--:|--:|---|"
     for row in rows[:MAX_TABLE_ROWS]:
         assert row.measured is not None
-        change = row.measured - row.golden
-        relative = f"{100.0 * change / row.golden:+.1f} %" if row.golden else f"{change:+.3f}"
+        relative = format_change(row)
         deviation = _deviation(row.violations)
         better = all(each.better for each in row.violations)
         yield (
@@ -259,6 +278,8 @@ def _add_row_result(case: xml.Element, row: RowComparison, verdict: Verdict) -> 
         lines = [violation_line(each, verdict) for each in largest_first]
         seeds = [each.seeds[0] for each in largest_first]
         _add_failure(case, lines, verdict, seeds)
+    elif row.better:
+        xml.SubElement(case, "system-out").text = _printable(f"better: {improvement_line(row)}")
     elif row.measured is None:
         xml.SubElement(case, "skipped", message="no valid flight to compare: see flights")
 
@@ -292,117 +313,3 @@ def _add_failure(
 
 def _printable(text: str) -> str:
     return _FORBIDDEN.sub("�", text)
-
-
-MAX_ANNOTATIONS = 10  # errors of a step that GitHub shows
-
-
-@dataclass(frozen=True, slots=True)
-class Annotation:
-    """An error at a place in a file; without a place, of the whole step."""
-
-    place: FilePosition | None
-    title: str
-    text: str
-
-
-def error_annotations(cases: Sequence[GoldenCase], verdicts: Sequence[Verdict]) -> list[Annotation]:
-    """Return the errors of failed scenarios, the most useful first, at most `MAX_ANNOTATIONS`.
-
-    A violated bound is at its line of the scenario; a number that differs at its line of the golden
-    table, one for each scenario, with the number of the others; a failed flight at the scenario.
-    """
-    found = [
-        each
-        for case, verdict in zip(cases, verdicts, strict=True)
-        for each in _of_verdict(case, verdict)
-    ]
-    return _limited(found)
-
-
-def input_annotations(error: Exception) -> list[Annotation]:
-    """Return the errors of unreadable input, with places where known."""
-    title = "testbed check: bad input"
-    if isinstance(error, ScenarioError):
-        problems = [(each.place, str(each)) for each in error.problems]
-    else:
-        problems = [(_leading_place(line), line) for line in str(error).splitlines()]
-    return _limited([Annotation(place, title, text) for place, text in problems])
-
-
-def _leading_place(line: str) -> FilePosition | None:
-    """Return the `file:line:column` with which the text of a problem begins."""
-    file, *rest = line.split(":", 3)
-    numbers = [parse_whole(each) for each in rest[:2]] if len(rest) == 3 else []
-    row, column = numbers or (None, None)
-    return None if row is None or column is None else FilePosition(file, row, column)
-
-
-def _of_verdict(case: GoldenCase, verdict: Verdict) -> Iterator[Annotation]:
-    for bound in verdict.bounds:
-        if bound.violations:
-            text, *others = bound.texts
-            yield Annotation(
-                bound.place,
-                f"{verdict.name}: {bound.key}",
-                f"{text}{_more(len(others))}",
-            )
-    if verdict.problems:
-        first, *rest = verdict.problems
-        place = FilePosition(str(case.source), 1, 1)
-        yield Annotation(place, f"{verdict.name}: flights", f"{first}{_more(len(rest))}")
-    if verdict.violations:
-        largest, *less = verdict.violations
-        changed = "; ".join(verdict.changes[:3])
-        why = f" (the scenario changed: {changed})" if changed else ""
-        text = f"{violation_line(largest, verdict)}{_more(len(less))}{why}"
-        place = FilePosition(str(case.path), _line_of(case.path, largest.key), 1)
-        yield Annotation(place, f"{verdict.name}: golden table", text)
-
-
-def _more(count: int) -> str:
-    return f"; and {count} more" if count else ""
-
-
-def _line_of(table: Path, key: str) -> int:
-    """Return the line of a row in a golden table, from 1."""
-    start, text = f'"{key}":', read_bounded_text(table, MAX_GOLDEN_BYTES)
-    for number, line in enumerate(text.splitlines(), start=1):
-        if line.lstrip().startswith(start):
-            return number
-    return 1
-
-
-def _limited(found: Sequence[Annotation]) -> list[Annotation]:
-    """Return the first annotations; the last of them counts those left out."""
-    if len(found) <= MAX_ANNOTATIONS:
-        return list(found)
-    shown = list(found[: MAX_ANNOTATIONS - 1])
-    text = f"{len(found) - len(shown)} more errors: the log and the JSON file have all"
-    return [*shown, Annotation(None, "testbed check", text)]
-
-
-def to_github(annotation: Annotation) -> str:
-    """Return an annotation as a workflow command of GitHub, `::error file=...,line=...::text`.
-
-    Files are relative to GITHUB_WORKSPACE, the folder of the checkout, else to the current one.
-    """
-    properties = {"title": annotation.title}
-    place = annotation.place
-    if place and not place.source.startswith("--set"):
-        workspace = Path(os.environ.get("GITHUB_WORKSPACE") or Path.cwd()).resolve()
-        path = Path(place.source).resolve()
-        file = path.relative_to(workspace) if path.is_relative_to(workspace) else path
-        properties = {"file": file.as_posix(), **properties}
-        if place.line:
-            properties |= {"line": str(place.line), "col": str(place.column)}
-    joined = ",".join(f"{key}={_property(value)}" for key, value in properties.items())
-    return f"::error {joined}::{_data(annotation.text)}"
-
-
-def _data(text: str) -> str:
-    return text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
-
-
-def _property(text: str) -> str:
-    return _data(text).replace(":", "%3A").replace(",", "%2C")

@@ -20,12 +20,15 @@ from testbed.studies.golden_table import (
     prediction_band,
     table_numbers,
 )
+from testbed.studies.golden_tolerance import Tolerances
 from testbed.studies.scenario_snapshot import (
     Inputs,
     differences,
     file_differences,
     scenario_differences,
 )
+
+RULES_ALONE = Tolerances()
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,20 +55,31 @@ class FlightProblem:
 
 @dataclass(frozen=True, slots=True)
 class Violation:
-    """A number outside its bounds: of one seed, or the mean over several."""
+    """A number outside its limits: of one seed, or the mean over several.
+
+    Args:
+        key: of its row.
+        seeds: of the flights.
+        measured: the number.
+        golden: the number of the table; the middle of a band.
+        low: the lowest that passes; minus infinity: every one below `golden` does.
+        high: the highest that passes; infinity: every one above `golden` does.
+        better: whether the number is better than that of the table.
+    """
 
     key: str
     seeds: tuple[int, ...]
     measured: float
+    golden: float
     low: float
     high: float
     better: bool
 
     @property
     def deviation(self) -> float:
-        """Distance from the middle of the bounds in half-widths; above 1."""
-        middle, half = 0.5 * (self.low + self.high), 0.5 * (self.high - self.low)
-        return abs(self.measured - middle) / half
+        """Distance from the golden number in tolerances; above 1."""
+        limit = self.low if self.measured < self.golden else self.high
+        return (self.measured - self.golden) / (limit - self.golden)
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +94,7 @@ class RowComparison:
     band: tuple[float, float] | None
     missing: bool
     violations: tuple[Violation, ...]
+    better: bool  # than the table, by more than the rule allows, in the mean over its seeds
 
     @property
     def passed(self) -> bool:
@@ -122,6 +137,11 @@ class Verdict:
         found = [violation for row in self.rows for violation in row.violations]
         return sorted(found, key=lambda each: (-each.deviation, each.key, each.seeds))
 
+    @property
+    def improved(self) -> list[RowComparison]:
+        """Rows that pass and are better than the table."""
+        return [row for row in self.rows if row.passed and row.better]
+
 
 def flight_problems(flight: GoldenFlight) -> list[FlightProblem]:
     """List why a flight cannot be compared: incomplete, a follower not joined.
@@ -156,6 +176,7 @@ def compare(
     inputs: Inputs,
     bounds: Sequence[BoundResult] = (),
     overrides: Sequence[str] = (),
+    tolerances: Tolerances = RULES_ALONE,
 ) -> Verdict:
     """Compare flights of a scenario with its table.
 
@@ -169,6 +190,7 @@ def compare(
         inputs: of the scenario, to describe changes.
         bounds: comparisons with the bounds of the scenario.
         overrides: settings of the scenario.
+        tolerances: beside those of `RULES`.
     """
     problems = [problem for flight in flights for problem in flight_problems(flight)]
     invalid = {problem.seed for problem in problems}
@@ -198,7 +220,7 @@ def compare(
         versions=differences(table.versions, versions) if versions else (),
         problems=tuple(problems),
         notes=tuple(notes),
-        rows=tuple(_compare_row(table, key, numbers) for key in table.rows),
+        rows=tuple(_compare_row(table, key, numbers, tolerances) for key in table.rows),
         bounds=tuple(bounds),
     )
 
@@ -235,43 +257,59 @@ def _key_parts(keys: Sequence[str] | Mapping[str, Any], level: int) -> list[str]
 
 
 def _compare_row(
-    table: GoldenTable, key: str, flights: Mapping[int, Mapping[str, float | None]]
+    table: GoldenTable,
+    key: str,
+    flights: Mapping[int, Mapping[str, float | None]],
+    tolerances: Tolerances,
 ) -> RowComparison:
     rule, row = RULES[key.split("/")[0]], table.rows[key]
     values = {seed: value for seed, rows in flights.items() if (value := rows.get(key)) is not None}
     references = {seed: table.same_seed(key, seed) for seed in values}
     golden = {seed: value for seed, value in references.items() if value is not None}
-    violations = []
+    violations: list[Violation] = []
+
+    def judge(
+        seeds: tuple[int, ...], measured: float, golden: float, low: float, high: float
+    ) -> None:
+        limits = tolerances.limits(key, golden, low, high)
+        violations.extend(_outside(key, rule, seeds, measured, golden, *limits))
+
     for seeds in _seed_groups(table, values, golden):
-        value = golden[seeds[0]]
-        bounds = value - rule.allowed(value), value + rule.allowed(value)
-        violations += _violations(key, rule, seeds, values[seeds[0]], bounds)
+        value, allowed = golden[seeds[0]], rule.allowed(golden[seeds[0]])
+        judge(seeds, values[seeds[0]], value, value - allowed, value + allowed)
     new_seeds = tuple(seed for seed in values if seed not in golden)
     if row.band:
+        middle = 0.5 * sum(row.band)
         for seed in new_seeds:
-            violations += _violations(key, rule, (seed,), values[seed], row.band)
+            judge((seed,), values[seed], middle, *row.band)
         if len(new_seeds) > 1:
-            bounds = prediction_band(
+            low, high = prediction_band(
                 row.by_seed,
                 false_alarm=FALSE_ALARM,
                 min_half_width=rule.allowed(statistics.fmean(row.by_seed)),
                 new_values=len(new_seeds),
             )
-            mean = statistics.fmean(values[seed] for seed in new_seeds)
-            violations += _violations(key, rule, new_seeds, mean, bounds)
+            over_new = statistics.fmean(values[seed] for seed in new_seeds)
+            judge(new_seeds, over_new, 0.5 * (low + high), low, high)
     # means over the seeds of both, unless only seeds that the table does not have violate it
     violating = {seed for violation in violations for seed in violation.seeds}
     common = tuple(golden) if golden and not (violating and violating.isdisjoint(golden)) else ()
     shown = common or new_seeds
+    mean = statistics.fmean([golden[seed] for seed in common] or row.by_seed)
+    measured = statistics.fmean([values[seed] for seed in shown]) if shown else None
+    gain = 0.0
+    if common and measured is not None:
+        gain = mean - measured if rule.better == "lower" else measured - mean
     return RowComparison(
         key=key,
         rule=rule,
         seeds=tuple(values),
-        golden=statistics.fmean([golden[seed] for seed in common] or row.by_seed),
-        measured=statistics.fmean([values[seed] for seed in shown]) if shown else None,
+        golden=mean,
+        measured=measured,
         band=row.band,
         missing=bool(flights) and not values,
         violations=tuple(violations),
+        better=gain > rule.allowed(mean),
     )
 
 
@@ -284,13 +322,18 @@ def _seed_groups(
     return [(seed,) for seed in golden]
 
 
-def _violations(
-    key: str, rule: Rule, seeds: tuple[int, ...], measured: float, bounds: tuple[float, float]
+def _outside(
+    key: str,
+    rule: Rule,
+    seeds: tuple[int, ...],
+    measured: float,
+    golden: float,
+    low: float,
+    high: float,
 ) -> list[Violation]:
-    """Return one violation, or none. The bounds themselves are inside, despite rounding."""
-    low, high = bounds
-    slack = 1e-9 * max(abs(low), abs(high))
+    """Return one violation, or none. The limits themselves are inside, despite rounding."""
+    slack = 1e-9 * max(abs(each) for each in (low, high, golden) if math.isfinite(each))
     if low - slack <= measured <= high + slack and math.isfinite(measured):
         return []
-    better = (measured < low) == (rule.better == "lower")
-    return [Violation(key, seeds, measured, low, high, better)]
+    better = (measured < golden) == (rule.better == "lower")
+    return [Violation(key, seeds, measured, golden, low, high, better)]

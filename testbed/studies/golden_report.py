@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 from collections.abc import Sequence
 from typing import Any
@@ -55,12 +56,8 @@ def failing_seeds(verdict: Verdict) -> list[int]:
 def violation_line(violation: Violation, verdict: Verdict) -> str:
     """Describe a violation on one line: row, seeds, number, bounds, direction, deviation."""
     rule = RULES[violation.key.split("/")[0]]
-    middle = 0.5 * (violation.low + violation.high)
-    half = 0.5 * (violation.high - violation.low)
-    if verdict.table.same_seed(violation.key, violation.seeds[0]) is not None:
-        bounds = f"golden {format_number(middle)} ± {half:.1g}"
-    else:
-        bounds = f"band {format_number(violation.low)} to {format_number(violation.high)}"
+    same_seed = verdict.table.same_seed(violation.key, violation.seeds[0]) is not None
+    bounds = _describe_limits(violation, same_seed=same_seed)
     mean = "mean of " if verdict.table.random and len(violation.seeds) > 1 else ""
     direction = "better" if violation.better else "worse"
     return (
@@ -68,6 +65,42 @@ def violation_line(violation: Violation, verdict: Verdict) -> str:
         f"{format_number(violation.measured)} {rule.unit}, {bounds}, {direction} "
         f"({violation.deviation:.1f} x)"
     )
+
+
+def _describe_limits(violation: Violation, *, same_seed: bool) -> str:
+    low, golden, high = violation.low, violation.golden, violation.high
+    if math.isinf(low):
+        limits = f"at most {format_number(high)}"
+    elif math.isinf(high):
+        limits = f"at least {format_number(low)}"
+    elif same_seed and math.isclose(high - golden, golden - low, rel_tol=1e-6):
+        return f"golden {format_number(golden)} ± {high - golden:.1g}"
+    else:
+        limits = f"{format_number(low)} to {format_number(high)}"
+        return f"golden {format_number(golden)}, {limits}" if same_seed else f"band {limits}"
+    return f"golden {format_number(golden)}, {limits}"
+
+
+def improvement_line(row: RowComparison) -> str:
+    """Describe an improved number on one line: row, golden and measured number, change."""
+    assert row.measured is not None
+    return (
+        f"{row_label(row.key)}: {format_number(row.golden)} to {format_number(row.measured)} "
+        f"{row.rule.unit} ({format_change(row)})"
+    )
+
+
+def format_change(row: RowComparison) -> str:
+    """Format the change of a row's mean, in percent where there is one."""
+    assert row.measured is not None
+    change = row.measured - row.golden
+    return f"{100.0 * change / row.golden:+.1f} %" if row.golden else f"{change:+.3f}"
+
+
+def update_command(verdicts: Sequence[Verdict]) -> str:
+    """Return the command that writes the numbers of scenarios into their tables."""
+    names = shlex.join(verdict.name for verdict in verdicts)
+    return f"testbed check {names} --update --reason TEXT"
 
 
 def change_lines(verdict: Verdict) -> list[str]:
@@ -89,16 +122,19 @@ def print_check(verdicts: Sequence[Verdict], console: Console) -> None:
     # an update would not write a table for the others
     updatable = [v for v in failed if not v.overrides and _needs_update(v)]
     console.print()
-    if not failed:
-        text = f" {len(verdicts)} passed: all flights agree with their tables"
+    improved = [v for v in verdicts if v.passed and v.improved]
+    if failed:
+        _line(console, f" {len(failed)} failed, {len(verdicts) - len(failed)} passed", "bold red")
+        if updatable:
+            text = f" If this change is intended: {update_command(updatable)}"
+            _line(console, text, "dim")
+    else:
+        agree = "are within their tolerances" if improved else "agree with their tables"
         within = " and are within their bounds" if any(v.bounds for v in verdicts) else ""
-        _line(console, text + within, "green")
-        return
-    _line(console, f" {len(failed)} failed, {len(verdicts) - len(failed)} passed", "bold red")
-    if updatable:
-        names = shlex.join(verdict.name for verdict in updatable)
-        text = f" If this change is intended: testbed check {names} --update --reason TEXT"
-        _line(console, text, "dim")
+        text = f" {len(verdicts)} passed: all flights {agree}{within}"
+        _line(console, text, "green")
+    if kept := [v for v in improved if not v.overrides]:
+        _line(console, f" To keep what is better: {update_command(kept)}", "dim")
 
 
 def _needs_update(verdict: Verdict) -> bool:
@@ -127,6 +163,7 @@ def print_verdict(verdict: Verdict, console: Console, *, failed: str = "FAILED")
         lines = [f"the scenario changed: {each}" for each in verdict.changes]
         _lines(console, lines, MAX_CHANGES, "yellow")
         _lines(console, verdict.notes, MAX_CHANGES, "dim")
+        _print_improvements(verdict, console)
         return
     _line(console, f"   golden: {verdict.table.reason}", "dim")
     _lines(console, change_lines(verdict), MAX_CHANGES, "yellow")
@@ -143,6 +180,12 @@ def print_verdict(verdict: Verdict, console: Console, *, failed: str = "FAILED")
     if differing:
         _print_rows(differing, console)
         _print_violations(verdict, console)
+    _print_improvements(verdict, console)
+
+
+def _print_improvements(verdict: Verdict, console: Console) -> None:
+    lines = [f"better: {improvement_line(row)}" for row in verdict.improved]
+    _lines(console, lines, MAX_ROWS, "green")
 
 
 def _print_rows(rows: Sequence[RowComparison], console: Console) -> None:
@@ -151,8 +194,7 @@ def _print_rows(rows: Sequence[RowComparison], console: Console) -> None:
     _line(console, heading, "bold")
     for row in rows[:MAX_ROWS]:
         assert row.measured is not None
-        change = row.measured - row.golden
-        relative = f"{100.0 * change / row.golden:+.1f} %" if row.golden else f"{change:+.3f}"
+        relative = format_change(row)
         name = f"{row_label(row.key)}, {row.rule.unit}"
         better = all(each.better for each in row.violations)
         worse = not any(each.better for each in row.violations)
@@ -240,13 +282,15 @@ def _verdict_document(verdict: Verdict) -> dict[str, Any]:
         "notes": list(verdict.notes),
         "bounds": [_bound_document(each, verdict) for each in verdict.bounds],
         "rows": {row.key: _row_document(row) for row in verdict.rows},
+        "improved": [row.key for row in verdict.improved],
         "violations": [
             {
                 "row": each.key,
                 "seeds": list(each.seeds),
                 "measured": each.measured,
-                "low": each.low,
-                "high": each.high,
+                "golden": each.golden,
+                "low": _finite(each.low),
+                "high": _finite(each.high),
                 "deviation": each.deviation,
                 "better": each.better,
                 "command": run_command(verdict, each.seeds[0]),
@@ -254,6 +298,11 @@ def _verdict_document(verdict: Verdict) -> dict[str, Any]:
             for each in verdict.violations
         ],
     }
+
+
+def _finite(limit: float) -> float | None:
+    """Return a limit; null where there is none."""
+    return limit if math.isfinite(limit) else None
 
 
 def _bound_document(bound: BoundResult, verdict: Verdict) -> dict[str, Any]:

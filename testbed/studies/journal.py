@@ -32,6 +32,7 @@ _LEFT_OUT = (
     ("scenario",),
     ("seed",),
     ("versions",),
+    ("engine",),
     ("outcome",),
     ("wall_s",),
     ("real_time_factor",),

@@ -30,11 +30,10 @@ from testbed.scenario import (
     unreached_windows,
 )
 from testbed.scenario.problems import FilePosition, Problem, ScenarioError
+from testbed.scenario.setting_paths import setting_from_here
 from testbed.scenario.validate import validate
 from testbed.scenario.yaml_io import Node, read, to_inline, walk
 from testbed.studies.study_schema import CASE_SCENARIO, StudyConfig, Value
-
-MAX_CHECKED = 2_000  # scenarios read before a study is flown; each takes some milliseconds
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,8 +68,9 @@ class StudyRun:
         point: values of the keys that vary, in the order of the file.
         seed: of every random stream.
         scenario: name or path, as for `testbed run`.
-        overrides: changed keys, as for `--set`, without the seed.
+        overrides: changed keys, as for `--set`, without the seed; paths from `folder`.
         duration_s: as for `--duration`.
+        folder: of the study file.
     """
 
     number: int
@@ -80,13 +80,15 @@ class StudyRun:
     scenario: str
     overrides: tuple[str, ...]
     duration_s: float | None
+    folder: Path
 
     @property
     def command(self) -> str:
-        """Shell command that repeats the run, exactly on the same machine and versions."""
-        words = ["testbed", "run", self.scenario]
+        """Shell command that repeats the run from here, to the bit with the same versions."""
+        words, here = ["testbed", "run", self.scenario], Path.cwd().resolve()
         for each in self.overrides:
-            words += ["--set", each]
+            same = here == self.folder
+            words += ["--set", each if same else setting_from_here(each, self.folder, here)]
         if self.duration_s is not None:
             words += ["--duration", repr(self.duration_s).removesuffix(".0")]
         return shlex.join([*words, "--seed", str(self.seed)])
@@ -114,6 +116,7 @@ class Plan(Sequence[StudyRun]):
             ScenarioError: a scenario does not exist, or cannot be read.
         """
         self.study = study
+        self.folder = study.path.resolve().parent  # base of the paths in it
         config = study.config
         self.cases: tuple[str, ...] = tuple(config.cases) or ("",)
         self.keys: tuple[str, ...] = tuple(config.vary)
@@ -159,6 +162,7 @@ class Plan(Sequence[StudyRun]):
             _command_name(self._drafts[name]),
             tuple(f"{key}={to_inline(value)}" for key, value in {**changes, **values}.items()),
             config.study.duration_s,
+            self.folder,
         )
 
     def point(self, index: int) -> dict[str, Value]:
@@ -227,21 +231,26 @@ class Plan(Sequence[StudyRun]):
                 lines += unchecked_bounds(scenario, duration_s)
         return list(dict.fromkeys(lines))
 
+    def whole_scenarios(self) -> Iterator[Scenario]:
+        """Yield the scenario of the first point of each case with its own duration."""
+        for index, case in enumerate(self.cases):
+            with suppress(ScenarioError):
+                yield self._resolve(case, self.run(index, 0).overrides)
+
     def _load(self, case: str, overrides: tuple[str, ...]) -> Scenario:
         scenario = self._resolve(case, overrides)
         duration_s = self.study.config.study.duration_s
         return scenario if duration_s is None else set_duration(scenario, duration_s)
 
     def _resolve(self, case: str, overrides: tuple[str, ...]) -> Scenario:
-        folder = self.study.path.resolve().parent
-        return self._drafts[case].resolve(overrides, settings_folder=folder)
+        return self._drafts[case].resolve(overrides, settings_folder=self.folder)
 
     def _open(self, case: str) -> ScenarioFile:
         own = self.study.config.cases.get(case, {})
         loc = ("cases", case, CASE_SCENARIO) if CASE_SCENARIO in own else ("study", "scenario")
         node, path, _ = walk(self.study.tree, loc)
         try:
-            return open_scenario(str(node.value), folder=self.study.path.resolve().parent)
+            return open_scenario(str(node.value), folder=self.folder)
         except ScenarioError as error:
             if error.problems[0].place == FilePosition(str(node.value)):
                 raise ScenarioError([Problem(node.place, error.problems[0].text, path)]) from None
@@ -268,103 +277,3 @@ def _command_name(draft: ScenarioFile) -> str:
         return draft.path.stem
     here, path = Path.cwd().resolve(), draft.path.resolve()
     return str(path.relative_to(here) if path.is_relative_to(here) else path)
-
-
-@dataclass(frozen=True, slots=True)
-class CheckedPlan:
-    """Result of reading the scenarios of a plan.
-
-    Args:
-        scenarios: for each case its scenario without the keys that vary, or if that cannot be
-            flown the one of the first point that can.
-        checked: number of scenarios read.
-        invalid: number of them that cannot be flown.
-        example: why, for the first.
-    """
-
-    scenarios: Mapping[str, Scenario]
-    checked: int
-    invalid: int
-    example: str
-
-
-def check_plan(plan: Plan) -> CheckedPlan:
-    """Read the scenarios of a study before any is flown.
-
-    Of more than `MAX_CHECKED`, so many that every level of every key is read in every case. A level
-    or a case that cannot be flown is an error. So is a drawn value only if no point of its case can
-    be flown; otherwise the row of the run has the error.
-
-    Raises:
-        ScenarioError: with the place in the study file.
-    """
-    drawn = any(values.is_distribution for values in plan.study.config.vary.values())
-    scenarios: dict[str, Scenario] = {}
-    checked = invalid = 0
-    example = ""
-    for index, case in enumerate(plan.cases):
-        first: ScenarioError | None = None
-        for point in _points_to_check(plan):
-            run = plan.run(index, point)
-            checked += 1
-            try:
-                scenario = plan.scenario(run)
-            except ScenarioError as error:
-                if not drawn:
-                    raise _in_study_file(plan, run, error) from None
-                invalid += 1
-                first = first or _in_study_file(plan, run, error)
-                example = example or f"run {run.number}: {error.problems[0]}"
-            else:
-                scenarios.setdefault(case, scenario)
-        if case not in scenarios:
-            assert first is not None
-            raise first
-        with suppress(ScenarioError):
-            scenarios[case] = plan.case_scenario(index)
-    return CheckedPlan(scenarios, checked, invalid, example)
-
-
-def _points_to_check(plan: Plan) -> Iterator[int]:
-    """Yield the indices of all points, or of some with every level."""
-    limit = max(1, MAX_CHECKED // len(plan.cases))
-    if plan.point_count <= limit:
-        yield from range(plan.point_count)
-        return
-    if plan.study.config.study.samples:
-        yield from range(limit)
-        return
-    counts = [values.level_count for values in plan.study.config.vary.values()]
-    for row in range(max(counts)):  # the next level of each key
-        point = 0
-        for count in counts:
-            point = point * count + row % count
-        yield point
-
-
-def _in_study_file(plan: Plan, run: StudyRun, error: ScenarioError) -> ScenarioError:
-    """Return the error with the places of the changed keys in the study file."""
-    problems = []
-    for problem in error.problems:
-        source = problem.place.source if problem.place else ""
-        override = source.removeprefix("--set ") if source.startswith("--set ") else None
-        key = override.partition("=")[0] if override else ""
-        loc = _key_location(plan, run, key) if key else None
-        if loc is None:
-            problems.append(problem)
-            continue
-        node, path, _ = walk(plan.study.tree, loc)
-        in_scenario = ".".join(problem.path)
-        text = f"{in_scenario}: {problem.text}" if in_scenario else problem.text
-        problems.append(Problem(node.place, f"{override}: {text}", path))
-    return ScenarioError(problems)
-
-
-def _key_location(plan: Plan, run: StudyRun, key: str) -> tuple[str, ...] | None:
-    """Return where the study file sets a scenario key of this run."""
-    config = plan.study.config
-    if key in config.vary:
-        return ("vary", key)
-    if key in config.cases.get(run.case, {}):
-        return ("cases", run.case, key)
-    return ("study", "set", key) if key in config.study.set else None

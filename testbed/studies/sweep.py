@@ -6,6 +6,7 @@ their place, or how often the study was interrupted.
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import re
@@ -34,7 +35,8 @@ from testbed.studies.dask_workers import cluster_notices
 from testbed.studies.flight_pool import FlightPool, open_flight_pool
 from testbed.studies.flight_task import COMPLETED, OUTCOMES, FlightResult, FlightTask
 from testbed.studies.journal import Journal, JournalRow, flatten_metrics
-from testbed.studies.plan import Plan, Study, check_plan, load_study
+from testbed.studies.plan import Plan, Study, load_study
+from testbed.studies.plan_check import check_plan
 from testbed.studies.scenario_snapshot import differences, file_digests, snapshot
 from testbed.studies.table import (
     StudyOutput,
@@ -238,9 +240,27 @@ def _fly(
                 f"no seed changes {_count(points, 'point')}: {_count(copies, 'run')} with the "
                 "numbers of a flown one"
             )
+        if flown := _count_equal_points(plan, journal) - points:
+            report(
+                f"all seeds of {_count(flown, 'further point')} were flown, and gave the same "
+                "numbers (write fewer seeds)"
+            )
     finally:
         writer.write()
     return len(journal) - before
+
+
+def _count_equal_points(plan: Plan, journal: Journal) -> int:
+    """Count the points of several completed runs whose numbers are equal to the bit."""
+    points, seeds = 0, len(plan.seeds)
+    if seeds == 1:
+        return 0
+    for _, rows in itertools.groupby(journal.rows(), lambda row: row.run // seeds):
+        first, *others = rows
+        numbers = (COMPLETED, first.metrics)
+        equal = all((each.outcome, each.metrics) == numbers for each in (first, *others))
+        points += equal and bool(others)
+    return points
 
 
 def _report_bounds(

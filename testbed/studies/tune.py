@@ -37,6 +37,7 @@ from testbed.studies.flight_task import INVALID, FlightResult, FlightTask
 from testbed.studies.golden import Progress
 from testbed.studies.journal import flatten_metrics
 from testbed.studies.plan import Plan, StudyRun
+from testbed.studies.plan_check import FlownScenarios
 from testbed.studies.tune_constraints import (
     ConstraintResult,
     Measure,
@@ -83,6 +84,7 @@ class TuneProblem:
 
         Raises:
             ScenarioError: they cannot; with the place in the tune file.
+            InputError: no run has the metric, or code of the user's cannot be built.
         """
         self.tune = tune
         self._plan = Plan(tune.study)
@@ -98,8 +100,14 @@ class TuneProblem:
         )
         for run in {run.case: run for run in reversed(self.runs)}.values():
             self._check_bounds(run)
-        scenarios = (self._plan.scenario(run) for run in self.runs)
-        self.durations_s = [each.scenario.duration_s for each in scenarios]
+        flown = FlownScenarios(self._plan)
+        self.durations_s: list[float] = []
+        for run in self.runs:
+            scenario = self._plan.scenario(run)
+            flown.add(run, scenario)
+            self.durations_s.append(scenario.scenario.duration_s)
+        flown.check_metrics([(("objective", "metric"), tune.config.objective.metric)])
+        flown.check_code()
         self._check_airframe()
         self._check_constraints()
 

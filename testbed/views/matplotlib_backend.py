@@ -66,18 +66,43 @@ STYLE: dict[Any, Any] = {
 }
 
 
-def save_figure(grid: PanelGrid, path: Path) -> None:
-    """Write a figure as PNG (200 dots per inch), PDF or SVG, by the suffix of the path.
+# Sizes that `STYLE` leaves at Matplotlib's defaults, points; with those of `STYLE` they are scaled.
+SIZES: dict[Any, Any] = {
+    "axes.linewidth": 0.8,
+    "axes.labelpad": 4.0,
+    **{f"{axis}tick.major.{size}": 3.5 for axis in "xy" for size in ("size", "pad")},
+    **{f"{axis}tick.major.width": 0.8 for axis in "xy"},
+    **{f"{axis}tick.minor.size": 2.0 for axis in "xy"},
+    **{f"{axis}tick.minor.width": 0.6 for axis in "xy"},
+}
+
+
+def _style(scale: float) -> dict[Any, Any]:
+    """Return the style with all sizes times a factor."""
+    if scale == 1.0:
+        return STYLE
+    sizes = {**SIZES, **STYLE}
+    return {key: each * scale if isinstance(each, float) else each for key, each in sizes.items()}
+
+
+def save_figure(grid: PanelGrid, path: Path, *, titled: bool = True, scale: float = 1.0) -> None:
+    """Write a figure as PNG (200 dots per inch at scale 1), PDF or SVG, by the suffix of the path.
+
+    Args:
+        grid: the figure.
+        path: of the file.
+        titled: draw title and subtitle.
+        scale: of the figure and all that is in it.
 
     Raises:
         OSError: The file cannot be written.
     """
     ending = path.suffix.lower()
-    with matplotlib.rc_context(STYLE):
-        figure = _figure(grid, titled=True)
+    with matplotlib.rc_context(_style(scale)):
+        figure = _figure(grid, titled=titled, scale=scale)
         with write_file(path) as file:
             figure.savefig(
-                file, format=ending[1:], dpi=PNG_DOTS_PER_INCH, metadata=UNDATED[ending]
+                file, format=ending[1:], dpi=PNG_DOTS_PER_INCH / scale, metadata=UNDATED[ending]
             )  # fmt: skip
 
 
@@ -106,28 +131,36 @@ class _RoundedLayout(ConstrainedLayoutEngine):
         return grids
 
 
-def _figure(content: PanelGrid, *, titled: bool) -> Figure:
-    width, height = content.inches
+def _figure(content: PanelGrid, *, titled: bool, scale: float = 1.0) -> Figure:
+    width, height = content.inches  # and all lengths below: before they are scaled
     layout = _RoundedLayout(wspace=0.04, hspace=0.06)
-    figure = Figure(figsize=content.inches, dpi=DOTS_PER_INCH, layout=layout)
+    figure = Figure(figsize=(scale * width, scale * height), dpi=DOTS_PER_INCH, layout=layout)
     # one legend for all panels: a label means the same in each
     named: dict[str, Any] = {}
     grid = figure.add_gridspec(len(content.rows), len(content.widths), width_ratios=content.widths)
+    # maps that share a scale, in a row or in the only column
+    heats: dict[tuple[int, tuple[float, float], str], list[Axes]] = {}
     for i, panels in enumerate(content.rows):
         for k, panel in enumerate(panels):
             ax = figure.add_subplot(grid[i, k])
-            _fill(ax, panel)
+            _fill(ax, panel, scale)
+            if panel.heat is not None and panel.drawn:
+                row = i if len(content.widths) > 1 else 0
+                key = row, panel.heat.limits, panel.heat.label
+                heats.setdefault(key, []).append(ax)
             for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
                 named.setdefault(label, handle)
+    for (_, _, label), axes in heats.items():
+        figure.colorbar(axes[0].collections[0], ax=axes, label=label)
     longest = max(map(len, named), default=0)
     abreast = max(int(width / (KEY_IN + LETTER_IN * longest)), 1)
     rows = -(-len(named) // abreast)
     height += max(rows - 1, 0) * LEGEND_IN  # a long legend makes no panel flatter
-    figure.set_size_inches(width, height)
+    figure.set_size_inches(scale * width, scale * height)
     if titled:
-        figure.text(0.012, 1.0 - 0.32 / height, content.title, size=17, weight="bold", va="center")
-        below = 1.0 - 0.63 / height
-        figure.text(0.012, below, content.subtitle, size=12.5, va="center", color="#404040")
+        above, below = 1.0 - 0.32 / height, 1.0 - 0.63 / height
+        figure.text(0.012, above, content.title, size=17 * scale, weight="bold", va="center")
+        figure.text(0.012, below, content.subtitle, size=12.5 * scale, va="center", color="#404040")
     top = TITLES_IN / height if titled else 0.0
     bottom = rows * LEGEND_IN / height
     layout.set(rect=(0.0, bottom, 1.0, 1.0 - bottom - top))
@@ -139,10 +172,10 @@ def _figure(content: PanelGrid, *, titled: bool) -> Figure:
     return figure
 
 
-def _fill(ax: Axes, panel: Panel) -> None:
+def _fill(ax: Axes, panel: Panel, scale: float = 1.0) -> None:
     named = [span for span in panel.spans if span.name]
     name_lines = max((span.level + 1 for span in named), default=0)
-    ax.set_title(panel.title, pad=TITLE_PT + NAME_PT * name_lines)
+    ax.set_title(panel.title, pad=scale * (TITLE_PT + NAME_PT * name_lines))
     ax.set_xlabel(panel.x_label)
     ax.set_ylabel(panel.y_label)
     if not panel.drawn:
@@ -158,9 +191,9 @@ def _fill(ax: Axes, panel: Panel) -> None:
         ax.axvspan(span.start, span.end, color=GREY, alpha=0.13, lw=0)
         ax.axvline(span.start, color=GREY, lw=0.5)  # the end of the span before
         ax.annotate(
-            span.name, (span.start, 1.0), (1.0, 3.0 + NAME_PT * span.level),
+            span.name, (span.start, 1.0), (1.0, scale * (3.0 + NAME_PT * span.level)),
             xycoords=ax.get_xaxis_transform(), textcoords="offset points",
-            va="bottom", size=10.5, annotation_clip=False,
+            va="bottom", size=10.5 * scale, annotation_clip=False,
         )  # fmt: skip
     for at, colour in panel.marks:
         ax.axvline(at, color=colour, lw=0.9, ls=(0, (1, 2)))
@@ -170,12 +203,14 @@ def _fill(ax: Axes, panel: Panel) -> None:
             label=band.label,
         )  # fmt: skip
     for line in panel.lines:
-        ax.plot(line.x, line.y, color=line.colour, label=line.label or None, **_line_style(line))
+        ax.plot(
+            line.x, line.y, color=line.colour, label=line.label or None, **_line_style(line, scale)
+        )
     if panel.equal:
         ax.set_aspect("equal", adjustable="datalim")
         return
     if panel.heat is not None:
-        _fill_heat(ax, panel.heat)
+        _fill_heat(ax, panel.heat, scale)
     if panel.y_ticks and not panel.x_ticks:
         ax.locator_params(axis="x", nbins=5)  # few: long numbers need space
     for axis, ticks in ((ax.xaxis, panel.x_ticks), (ax.yaxis, panel.y_ticks)):
@@ -203,10 +238,10 @@ def _set_plain_log_ticks(axis: Axis) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
-def _fill_heat(ax: Axes, heat: Heatmap) -> None:
+def _fill_heat(ax: Axes, heat: Heatmap, scale: float) -> None:
     colours = matplotlib.colormaps[HEAT_COLOURS].resampled(HEAT_STEPS).with_extremes(bad=GREY)
     low, high = heat.limits
-    mesh = ax.pcolormesh(
+    ax.pcolormesh(
         np.ma.masked_invalid(heat.values), cmap=colours, vmin=low, vmax=high, lw=0.6, ec=ON_DARK
     )
     for (i, k), value in np.ndenumerate(heat.values):
@@ -214,23 +249,27 @@ def _fill_heat(ax: Axes, heat: Heatmap) -> None:
             red, green, blue, _ = colours((value - low) / (high - low))
             light = 0.299 * red + 0.587 * green + 0.114 * blue > 0.5
             ax.text(
-                k + 0.5, i + 0.5, heat.texts[i][k], ha="center", va="center", size=11,
+                k + 0.5, i + 0.5, heat.texts[i][k], ha="center", va="center", size=11 * scale,
                 color=ON_LIGHT if light else ON_DARK,
             )  # fmt: skip
     ax.grid(False)
-    ax.figure.colorbar(mesh, ax=ax, label=heat.label)
+    ax.yaxis.labelpad = 9.0 * scale  # an underscore of a key is at the side of the numbers
 
 
-def _line_style(line: Line) -> dict[str, Any]:
+def _line_style(line: Line, scale: float) -> dict[str, Any]:
     if line.dots:
         return {
             "ls": "none",
             "marker": line.marker or "o",
-            "ms": 8.0 if line.marker == "x" else 4.0,
+            "ms": scale * (8.0 if line.marker == "x" else 4.0),
         }
-    style: dict[str, Any] = {"lw": line.width, "ls": line.dashes, "solid_capstyle": "butt"}
+    style: dict[str, Any] = {"lw": scale * line.width, "ls": line.dashes, "solid_capstyle": "butt"}
     if line.marker:
         spacing = max(len(line.x) // line.marks, 1) if line.marks else 1
-        style |= {"marker": line.marker, "ms": 5.0, "mfc": "none"}
+        style |= {
+            "marker": line.marker,
+            "ms": scale * (10.0 if line.marker == "|" else 5.0),
+            "mfc": "none",
+        }
         style["markevery"] = (int(line.marker_phase * spacing), spacing)
     return style

@@ -79,7 +79,8 @@ def feed_scenario(path):
 
 def feed_study(path):
     """Plan it, and resolve one of its runs, or all of few."""
-    from testbed.studies.plan import Plan, check_plan, load_study
+    from testbed.studies.plan import Plan, load_study
+    from testbed.studies.plan_check import check_plan
 
     plan = Plan(load_study(path))
     if len(plan) <= MAX_RUNS:

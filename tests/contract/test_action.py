@@ -166,6 +166,24 @@ def test_action_fails_with_lines_and_a_report(repository, tmp_path):
     }
 
 
+def test_action_passes_the_tolerance(repository, tmp_path):
+    """Each word is one; a weaker law is within the tolerance, but not within its bound."""
+    changed = tmp_path / "changed"
+    shutil.copytree(repository, changed)
+    path = changed / "flights" / "pursuit.yaml"
+    path.write_text(path.read_text().replace("closing: 0.3", "closing: 0.1"))
+    inputs = {"scenarios": "flights/pursuit.yaml", "options": "--jobs 1 --seeds 1"}
+    runner = Runner(changed, tmp_path / "runner", **inputs, tolerance="rms_m=900% 1000%")
+    code, printed = runner.run("Check")
+    assert code == 0, printed
+    runner.inputs["inputs.tolerance"] = ""
+    code, printed = runner.run("Check")
+    assert code == DIFFERENT and "::error file=flights/golden/pursuit.json" in printed
+    runner.inputs["inputs.tolerance"] = "rms_m=5% 5"
+    code, printed = runner.run("Check")
+    assert code == BAD_INPUT and "--tolerance 5: write 5% for all numbers" in printed
+
+
 def test_action_annotates_bad_input(repository, tmp_path):
     changed = tmp_path / "changed"
     shutil.copytree(repository, changed)

@@ -32,7 +32,8 @@ from testbed.scenario import (
 )
 from testbed.studies.compare_runs import compare_runs
 from testbed.studies.flight_task import FlightTask, run_task
-from testbed.studies.plan import Plan, check_plan, load_study
+from testbed.studies.plan import Plan, load_study
+from testbed.studies.plan_check import check_plan
 
 GOOD = """
     import numpy as np
@@ -181,16 +182,17 @@ study: {{schema: 1, name: s, scenario: simulation-3, seeds: 1, set: {{controller
 def test_study_runs_code_in_its_folder_only(tmp_path, monkeypatch):
     """Its settings are of a file, not of the caller: not even the current directory is allowed."""
     (home := tmp_path / "studies").mkdir()
-    for folder in (tmp_path, home):
-        write(folder)
+    write(tmp_path)
     monkeypatch.chdir(tmp_path)
-    for law in ("mine:Straight", "mine.py:Straight", f"{tmp_path}/mine.py:Straight"):
+    for law in ("mine:Straight", f"{tmp_path}/mine.py:Straight"):
         (home / "s.yaml").write_text(STUDY.format(law=law))
         with pytest.raises(ScenarioError, match="is not in the folder of the file that names it"):
             check_plan(Plan(load_study(home / "s.yaml")))
-    (home / "s.yaml").write_text(STUDY.format(law="studies/mine.py:Straight"))
-    plan = Plan(load_study(home / "s.yaml"))
-    assert plan.scenario(plan[0]).controller.law == f"{home}/mine.py:Straight"
+    write(home)
+    for law in ("mine:Straight", "mine.py:Straight", "studies/mine.py:Straight"):
+        (home / "s.yaml").write_text(STUDY.format(law=law))
+        plan = Plan(load_study(home / "s.yaml"))
+        assert plan.scenario(plan[0]).controller.law == f"{home}/mine.py:Straight"
 
 
 def test_law_of_an_installed_package(tmp_path, monkeypatch):

@@ -12,18 +12,21 @@ from itertools import product
 import numpy as np
 import pytest
 from commands import call_command, refuse_all
+from matplotlib.figure import Figure
 from report_pages import CHROMIUM, NEEDS_CHROMIUM, browse, stands_alone
 from rich.console import Console
 from study_samples import METRIC, drawn, factorial, flights_of, study_of
 
 from testbed.cli.study_report import find_study_file, read_study
 from testbed.logs.arrow_io import write_columns
-from testbed.reports.html import render_page
-from testbed.reports.study import figures, study_page, tables
+from testbed.reports.figure_spec import fit_width
+from testbed.reports.html import render_page, save_figures
+from testbed.reports.study import figures, latex_table, study_page, tables
 from testbed.reports.study.page import print_summary
 from testbed.reports.study.parameter_plots import parameters
 from testbed.reports.study.report_table import format_cell, format_number
 from testbed.reports.study.study_data import IntervalEstimate, axis_label, wrap_key
+from testbed.views.matplotlib_backend import figure_svg
 
 SLUG = "windows-laps-mean_rms_m"
 PAGE = """
@@ -131,15 +134,109 @@ def test_parameter_plot_has_curves_bands_crosses(made):
     study, _ = made
     drawing = parameters(study, METRIC)
     panel = drawing.rows[0][0]
-    assert panel.x_label == "network.loss" and panel.y_label == "mean RMS error, laps, m"
+    assert panel.x_label == "network.loss" and panel.y_label == "mean RMS error,\nlaps, m"
+    assert panel.title == "air.wind.speed_mps 0"
     calm = panel.lines[0]
-    loss, _, law = study.flights.parameters
+    loss, wind, law = study.flights.parameters
     here = (study.flights.case_index == 0) & (loss.index == 1) & (law.index == 0)
+    here &= wind.index == 0
     found = study.estimate(METRIC, here, "network.loss/0.1/calm, paper")
     assert (calm.x[1], calm.y[1]) == (0.1, found.value)
     assert (panel.bands[0].low[1], panel.bands[0].high[1]) == (found.low, found.high)
     (crosses,) = [line for line in panel.lines if line.marker == "x"]
     assert crosses.x.tolist() == [0.0, 0.1]
+
+
+def test_parameter_plot_averages_nothing_in_silence(made):
+    """A panel for each level of the other parameters; of too many, a title names the mean."""
+    study, _ = made
+    panels = [panel for row in parameters(study, METRIC).rows for panel in row]
+    titles = [panel.title for panel in panels]
+    assert titles[:3] == [f"air.wind.speed_mps {speed}" for speed in (0, 4, 8)]
+    assert titles[3:6] == [f"network.loss {loss}" for loss in (0, 0.1, 0.3)]
+    assert titles[6:] == ["mean over network.loss, air.wind.speed_mps"]
+    calm = [panel.lines[0].y[0] for panel in panels[:3]]
+    assert np.diff(calm) == pytest.approx(0.5, abs=0.05)  # speed / 8, in steps of 4 m/s
+
+
+def test_cases_are_drawn_at_every_point():
+    """Each row is a point, and all points together; ends of intervals are strokes."""
+    table = []
+    for (k, case), wind, seed in product(enumerate(("a", "b")), (0.0, 4.0), range(5)):
+        value = 1.0 + 0.2 * k + 0.1 * wind * k + 0.01 * seed
+        table.append((case, seed, {"air.wind.speed_mps": wind}, value))
+    study = study_of(flights_of(table))
+    left, right = figures.cases(study, METRIC).rows[0]
+    assert [text for _, text in left.y_ticks] == ["all points", "speed_mps 0", "speed_mps 4"]
+    dots = {line.label: line for line in left.lines if line.dots}
+    assert dots["a"].x == pytest.approx([1.02] * 3) and dots["b"].x[2] == pytest.approx(1.62)
+    strokes = [line for line in left.lines if line.marker == "|"]
+    assert len(strokes) == 6 and all(line.x[0] < line.x[1] for line in strokes)
+    (difference,) = [line for line in right.lines if line.dots]
+    assert difference.x == pytest.approx([0.4, 0.2, 0.6])
+
+
+def test_maps_of_a_row_have_one_colour_bar(made, monkeypatch):
+    """As they have one scale."""
+    bars = []
+    bar = Figure.colorbar
+    monkeypatch.setattr(Figure, "colorbar", lambda *a, **more: (bars.append(a), bar(*a, **more))[1])
+    study, _ = made
+    (heat,) = [each for each in figures.study_figures(study) if each.name.startswith("heat")]
+    figure_svg(heat.grid)
+    assert len(bars) < sum(map(len, heat.grid.rows))
+    assert len(bars) <= 2 * len(heat.grid.rows)
+
+
+def test_figures_of_a_paper_have_its_width(made, tmp_path):
+    """In inches, with panels in one column, and no title."""
+    study, _ = made
+    (figure,) = [each for each in figures.study_figures(study) if each.name.startswith("cases")]
+    options = {"ending": "svg", "titled": False, "width_in": 3.5}
+    (path,) = save_figures([figure], tmp_path, **options)
+    text = path.read_text()
+    assert f'width="{3.5 * 72:g}pt"' in text and "by case -->" not in text
+    narrow = fit_width(figure.grid, 5.25, titled=False)
+    assert [len(row) for row in narrow.rows] == [1, 1]
+    same = fit_width(figure.grid, 11.0, titled=True)
+    assert same.rows == figure.grid.rows and same.inches == pytest.approx(figure.grid.inches)
+    (wide,) = save_figures([figure], tmp_path / "wide", "svg")
+    assert f'width="{11 * 72}pt"' in wide.read_text() and "by case -->" in wide.read_text()
+
+
+def test_latex_table_has_cases_points_and_metrics(made):
+    table = latex_table(two_laws("case"))
+    lines = table.splitlines()
+    assert lines[0].startswith("% made-up: median over seeds [95 % interval], 24 of 24 flights")
+    assert lines[1] == r"\begin{tabular}{lllr}" and lines[-1] == r"\end{tabular}"
+    head = r"Case & air.wind.speed\_mps & network.loss & Mean RMS error, laps (m) \\"
+    assert lines[3] == head and lines[5].startswith("chase & 0 & 0 & 2.00 ")
+    assert len(lines) == 3 + 2 + 12 + 2
+    many, _ = made  # of more than 60 points those of cases and laws; 54 cases and points are few
+    assert latex_table(many).count("&") == 4 * (54 + 1)
+    assert latex_table(drawn()).count("\\\\") == 2
+    odd = replace(two_laws("case"), metrics=("a_b%&#",))
+    metrics = odd.flights.metrics | {"a_b%&#": odd.flights.metrics[METRIC]}
+    odd = replace(odd, flights=replace(odd.flights, metrics=metrics))
+    assert r"A b\%\&\#" in latex_table(odd)
+
+
+def test_missing_metric_is_said_and_others_are_drawn(tmp_path):
+    """A study of an earlier version may name one; a wrong --metric is an error."""
+    page = PAGE.replace("mean_rms_m]", "mean_rms_m, max_error_m, min_separation_m]")
+    path = write_study(tmp_path / "study.parquet", page=page)
+    done = call_command(
+        "study-report", path, "--figures", "f", "--json", "it.json", "--latex", "t.tex",
+        cwd=tmp_path, code=0, columns=200,
+    )  # fmt: skip
+    assert "no flight has a number max_error_m: left out" in done.stdout
+    assert "No flight has a number max_error_m" in (tmp_path / "report.html").read_text()
+    assert json.loads((tmp_path / "it.json").read_text())["missing_metrics"] == ["max_error_m"]
+    drawn = {each.name for each in (tmp_path / "f").iterdir()}
+    assert {f"parameters-{SLUG}.png", "parameters-min_separation_m.png"} <= drawn
+    assert "Smallest separation (m)" in (tmp_path / "t.tex").read_text()
+    study = read_study(path, metrics=(), statistic="median")
+    assert study.metrics == (METRIC, "min_separation_m") and study.missing == ("max_error_m",)
 
 
 def test_heat_maps_have_every_pair(made):

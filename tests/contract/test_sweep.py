@@ -288,7 +288,8 @@ def test_sweep_two_started_at_once_write_one_file(folder, workers, tmp_path, mon
 
 
 FAILURES = """
-study: {schema: 1, name: bad, scenario: ideal-figure-eight, duration_s: 1, metrics: [max_err]}
+study:
+  {schema: 1, name: bad, scenario: ideal-figure-eight, duration_s: 1, metrics: [min_separation_m]}
 cases:
   good: {}
   singular: {formation.leader_gains.uav1: 0}

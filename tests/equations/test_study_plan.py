@@ -7,7 +7,8 @@ import pytest
 
 from testbed.scenario import ScenarioError, list_studies, load_scenario
 from testbed.studies.journal import Journal, JournalRow, flatten_metrics
-from testbed.studies.plan import Plan, check_plan, load_study
+from testbed.studies.plan import Plan, load_study
+from testbed.studies.plan_check import check_plan
 from testbed.studies.study_schema import Variation
 from testbed.studies.table import column_type
 
@@ -255,7 +256,7 @@ def test_check_plan_invalid_drawn_value_is_counted(tmp_path):
 
 
 def test_check_plan_many_points_reads_every_level(tmp_path, monkeypatch):
-    monkeypatch.setattr("testbed.studies.plan.MAX_CHECKED", 10)
+    monkeypatch.setattr("testbed.studies.plan_check.MAX_CHECKED", 10)
     text = HEAD + "design: factorial}\nvary:\n"
     text += "  network.loss: {from: 0, to: 0.5, count: 6}\n  network.delay_s: [0, 0.1, 0.2, -1]\n"
     with pytest.raises(ScenarioError, match="network.delay_s=-1"):

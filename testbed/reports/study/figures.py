@@ -9,11 +9,12 @@ from itertools import combinations
 
 import numpy as np
 
-from testbed.core.records import Array
+from testbed.core.records import Array, BoolArray
 from testbed.reports.figure_spec import Figure, FigureSpec, make_figure
 from testbed.reports.plot_selection import STYLES
 from testbed.reports.study.parameter_plots import (
     MAX_ACROSS,
+    MAX_BESIDE,
     decimate_evenly,
     in_pairs,
     needs_log_axis,
@@ -27,6 +28,7 @@ from testbed.reports.study.study_data import (
     Parameter,
     StudyData,
     axis_label,
+    format_level,
     mean_estimate,
     metric_title,
     metric_words,
@@ -38,7 +40,8 @@ from testbed.views.panels import BLACK, Heatmap, Line, Panel
 MAX_METRICS = 4  # drawn; the tables have all
 MAX_MAPS = 12  # panels of a figure; the maps of one pair are drawn in any case
 MIN_CELL_FLIGHTS = 5  # average number of flights in a cell of a heat map of drawn points
-MAX_UP = 24  # letters of a line of a label beside a map
+MAX_UP = 20  # letters of a line of a label beside a map
+MAX_POINT_ROWS = 12  # of the figure of cases
 MIN_CASE_FLIGHTS = 10  # of a case whose distribution is drawn
 
 Maker = Callable[[StudyData, str], FigureSpec | None]
@@ -143,57 +146,100 @@ def _heat_map(
         group.name,
         wrap_key(x.key, MAX_ACROSS),
         wrap_key(y.key, MAX_UP),
-        heat=Heatmap(values, limits, axis_label(metric), texts),
+        heat=Heatmap(values, limits, axis_label(metric, MAX_BESIDE), texts),
         x_ticks=[(k + 0.5, name.replace(" to ", "\nto ")) for k, (name, _) in enumerate(columns)],
         y_ticks=[(i + 0.5, name) for i, (name, _) in enumerate(rows)],
     )
 
 
 def cases(study: StudyData, metric: str) -> FigureSpec | None:
-    """Draw every case with its interval, and its difference from the first."""
+    """Draw every case with its interval, and its difference from the first; also at each point."""
     flights = study.flights
     if len(flights.cases) < 2:
         return None
-    first, count = flights.cases[0], len(flights.cases)
-    estimates = [
-        study.estimate(metric, flights.case_index == k, f"all/{name}")
-        for k, name in enumerate(flights.cases)
-    ]
-    differences = [mean_estimate(study.differences(metric, k)) for k in range(1, count)]
-    ticks = [(float(-k), name) for k, name in enumerate(flights.cases)]
-    limits = (-count + 0.4, 0.6)
-    label, (_, unit) = axis_label(metric), metric_words(metric)
+    first, count = flights.cases[0], min(len(flights.cases), len(STYLES))
+    places = _places(study)
+    one_row_each = len(places) == 1  # cases one below the other, else in the row of a point
+    spacing = 1.0 if one_row_each else 0.7 / count
+    shift = 0.0 if one_row_each else -0.5 * spacing * (count - 1)
+    values: list[Line] = []
+    differences: list[Line] = []
+    for k, name in enumerate(flights.cases[:count]):
+        own = flights.case_index == k
+        rows: Array = -np.arange(len(places), dtype=np.float64) - shift - spacing * k
+        estimates = [
+            study.estimate(metric, own & here, f"all/{name}{at and f'/{at}'}")
+            for at, here in places
+        ]
+        style = STYLES[0 if one_row_each else k]
+        label = "" if one_row_each else name
+        values += _interval_lines(estimates, rows, *style, label=label)
+        if k:
+            pairs = [mean_estimate(study.differences(metric, k, here)) for _, here in places]
+            differences += _interval_lines(pairs, rows, *style, label=label)
+    if one_row_each:
+        ticks = [(float(-k), name) for k, name in enumerate(flights.cases[:count])]
+    else:
+        ticks = [(float(-k), at or "all points") for k, (at, _) in enumerate(places)]
+    limits = (ticks[-1][0] - 0.6, 0.6)
+    label, (_, unit) = axis_label(metric, MAX_ACROSS), metric_words(metric)
+    of_what = "a case" if one_row_each else "each case, by point"
     panels = [
         Panel(
-            f"{study.statistic} of a case", label, "", _interval_lines(estimates, 0),
+            f"{study.statistic} of {of_what}", label, "", values,
             y_ticks=ticks, y_limits=limits,
         ),
         Panel(
             f"mean difference from {first}", f"difference, {unit}" if unit else "difference", "",
-            _interval_lines(differences, 1), y_ticks=ticks, y_limits=limits, marks=[(0.0, BLACK)],
+            differences, y_ticks=ticks, y_limits=limits, marks=[(0.0, BLACK)],
         ),
     ]  # fmt: skip
     caption = (
         f"Left: {study.statistic} of {metric} of each case over {study.unit_name} with its"
-        f" {PERCENT} % interval (bootstrap). Right: the difference from {first}, the mean of the"
-        f" differences at the same point and seed with Student's {PERCENT} % interval. A"
-        " difference whose interval contains 0 (dotted line) is not significant."
+        f" {PERCENT} % interval (bootstrap), between two strokes. Right: the difference from"
+        f" {first}, the mean of the differences at the same point and seed with Student's"
+        f" {PERCENT} % interval. A difference whose interval contains 0 (dotted line) is not"
+        " significant."
     )
-    height_in = 1.5 + 0.36 * count
-    return FigureSpec(f"{metric_title(metric)}, by case", caption, [panels], height_in)
+    if not one_row_each:
+        caption += " All points: each of the seeds is taken as its mean over the points."
+    if len(flights.cases) > count:
+        caption += f" The first {count} of {len(flights.cases)} cases are drawn."
+    rows_in = 0.36 * len(ticks) if one_row_each else max(0.36, 0.17 * count) * len(ticks)
+    return FigureSpec(f"{metric_title(metric)}, by case", caption, [panels], 1.9 + rows_in)
 
 
-def _interval_lines(estimates: Sequence[IntervalEstimate], first: int) -> list[Line]:
-    """Make dots on horizontal intervals, from row −first downwards."""
-    colour = STYLES[0][0]
+def _places(study: StudyData) -> list[tuple[str, BoolArray]]:
+    """Return names and flights (R,) of the rows of a figure of cases: all, and every point."""
+    flights = study.flights
+    everything = [("", np.ones(flights.run.size, dtype=np.bool_))]
+    points = sorted(set(flights.point.tolist()))
+    if study.random or not 1 < len(points) <= MAX_POINT_ROWS:
+        return everything
+    keys = [each.key for each in flights.parameters]
+    ends = [key.rpartition(".")[2] for key in keys]
+    names = ends if len(set(ends)) == len(ends) else keys
+    for point in points:
+        here = flights.point == point
+        one = int(np.flatnonzero(here)[0])
+        levels = [format_level(each.levels[each.index[one]]) for each in flights.parameters]
+        text = ", ".join(f"{name} {level}" for name, level in zip(names, levels, strict=True))
+        everything.append((text, here))
+    return everything
+
+
+def _interval_lines(
+    estimates: Sequence[IntervalEstimate], rows: Array, colour: str, marker: str, *, label: str
+) -> list[Line]:
+    """Make a marker with its horizontal interval in each row, whose ends are strokes."""
     lines = [
-        Line(np.array([each.low, each.high]), np.full(2, -float(k)), colour, width=2.2)
-        for k, each in enumerate(estimates, first)
+        Line(np.array([each.low, each.high]), np.full(2, row), colour, "", 1.6, marker="|", marks=0)
+        for each, row in zip(estimates, rows, strict=True)
         if np.isfinite(each.low)
     ]
     at = np.array([each.value for each in estimates])
-    rows = -np.arange(first, first + len(estimates), dtype=np.float64)
-    return [*lines, Line(at, np.where(np.isfinite(at), rows, np.nan), colour, dots=True)]
+    shown = np.where(np.isfinite(at), rows, np.nan)
+    return [*lines, Line(at, shown, colour, label, dots=True, marker=marker)]
 
 
 def distributions(study: StudyData, metric: str) -> FigureSpec | None:
@@ -213,7 +259,7 @@ def distributions(study: StudyData, metric: str) -> FigureSpec | None:
         return None
     drawn = np.concatenate([line.x for line in lines])
     panel = Panel(
-        "", axis_label(metric), "share of flights", lines,
+        "", axis_label(metric, MAX_ACROSS), "share of flights", lines,
         y_limits=(0.0, 1.02), x_log=needs_log_axis(drawn),
     )  # fmt: skip
     caption = (

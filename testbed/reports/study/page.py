@@ -59,6 +59,8 @@ _ENDS = {
 def print_summary(study: StudyData, console: Console) -> None:
     """Print the tables of a study, without those of points."""
     console.print(f" [bold]{study.name}[/] · {' · '.join(_facts(study))}", soft_wrap=True)
+    if study.missing:
+        console.print(f" {_missing(study)}", style="yellow", soft_wrap=True, markup=False)
     shown = [tables.overview(study), tables.effects(study), tables.cases(study)]
     if not study.flights.completed.all():
         shown.append(tables.losses(study))
@@ -83,6 +85,11 @@ def print_summary(study: StudyData, console: Console) -> None:
         console.print(line, soft_wrap=True, markup=False)
         console.print(f"   {command}", soft_wrap=True, markup=False)
     console.print()
+
+
+def _missing(study: StudyData) -> str:
+    """Name the metrics of the study that no flight has."""
+    return f"no flight has a number {', '.join(study.missing)}: left out"
 
 
 def _facts(study: StudyData) -> list[str]:
@@ -115,6 +122,9 @@ def _head(study: StudyData) -> str:
     out.append(f'<p class="meta">{escape(" · ".join(_facts(study)))}</p>')
     if flights.run.size < study.planned:
         out.append("<p>The study has not ended; the report has the flights that have.</p>")
+    if study.missing:
+        text = _missing(study)
+        out.append(f"<p>{escape(text[0].upper() + text[1:])}.</p>")
     keys = [f"{each.key} ({len(each.levels)})" for each in flights.parameters]
     if keys:
         out.append(f"<p>Varied, {escape(study.design)}: {escape(', '.join(keys))}.</p>")

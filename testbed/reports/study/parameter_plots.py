@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +32,9 @@ WINDOW = 0.15  # share of the flights in the window of a running quantile
 QUANTILES = (0.1, 0.5, 0.9)
 MAX_STRONG_BANDS = 3  # of more in a panel, bands are paler, because they cross
 MAX_ACROSS = 44  # letters of a line of a label below a panel
+MAX_BESIDE = 20  # letters of a line of a label beside a panel
+MAX_FACETS = 4  # panels of a parameter, for levels of the others; of more, their mean is drawn
+ROW_IN = 3.4  # height of a row of panels, inches
 MARGIN, LOG_MARGIN = 0.06, 1.2  # of a vertical axis: part of the range, factor
 LOG_RATIO = 50.0  # of the largest to the smallest number, above which an axis is logarithmic
 EMPTY_NOTE = "no completed flights"
@@ -79,27 +85,49 @@ def share_vertical_axis(panels: Sequence[Panel]) -> list[Panel]:
     return [replace(panel, y_log=False, y_limits=(low - margin, high + margin)) for panel in panels]
 
 
+@dataclass(frozen=True)
+class Facet:
+    """Flights that one panel of a parameter shows."""
+
+    title: str  # levels of the other parameters, or what is averaged
+    flights: BoolArray  # (R,)
+
+
 def parameters(study: StudyData, metric: str) -> FigureSpec | None:
-    """Draw a panel for each parameter."""
+    """Draw a panel for each parameter and the levels of the others."""
     flights = study.flights
     if not flights.parameters:
         return None
-    panels: list[Panel] = []
-    grouped_by = ""
+    of_parameters: list[list[Panel]] = []
+    grouped_by, several, averaged = "", False, False
     for each in flights.parameters:
-        groups, by = _groups(study, each)
+        scattered = each.continuous and study.random
+        groups, by, others = _groups(study, each)
         grouped_by = grouped_by or by
-        draw = _scatter if each.continuous and study.random else _curves
-        panels.append(draw(study, metric, each, groups))
-    panels = share_vertical_axis(panels)
+        facets = _facets(study, [] if scattered else others)
+        several |= len(facets) > 1
+        averaged |= len(facets) == 1 and bool(facets[0].title)
+        draw = _scatter if scattered else _curves
+        of_parameters.append([draw(study, metric, each, groups, facet) for facet in facets])
+    shared = iter(share_vertical_axis([panel for panels in of_parameters for panel in panels]))
+    of_parameters = [[next(shared) for _ in panels] for panels in of_parameters]
+    if several:  # a row of its own for each parameter
+        rows = [row for panels in of_parameters for row in in_pairs(panels)]
+    else:
+        rows = in_pairs([panel for panels in of_parameters for panel in panels])
     caption = [f"{metric} against each parameter"]
-    caption.append(f"; one curve for each of the {grouped_by}." if grouped_by else ".")
+    caption.append(f"; one curve for each of the {grouped_by}" if grouped_by else "")
+    caption.append("; a panel for each level of the other parameters." if several else ".")
     if any(not (each.continuous and study.random) for each in flights.parameters):
         caption.append(
-            f" Markers: {study.statistic} over {study.unit_name}, each taken as its mean over the"
-            f" parameters not shown; shaded, or as vertical lines: its {PERCENT} % interval"
-            " (bootstrap). A black cross: flights at this level were lost or failed, and are"
-            " excluded."
+            f" Markers: {study.statistic} over {study.unit_name}; shaded, or as vertical lines: its"
+            f" {PERCENT} % interval (bootstrap). A black cross: flights at this level were lost or"
+            " failed, and are excluded."
+        )
+    if averaged:
+        caption.append(
+            f" Where a panel says so, each of the {study.unit_name} is taken as its mean over the"
+            " parameters that are named."
         )
     if any(each.continuous and study.random for each in flights.parameters):
         caption.append(
@@ -109,17 +137,38 @@ def parameters(study: StudyData, metric: str) -> FigureSpec | None:
         )
     if len(flights.cases) > len(STYLES):
         caption.append(f" The first {len(STYLES)} of {len(flights.cases)} cases are drawn.")
-    rows = in_pairs(panels)
-    height_in = 3.4 * len(rows) + 0.3
     title = f"{metric_title(metric)}, against parameters"
-    return FigureSpec(title, "".join(caption), rows, height_in)
+    return FigureSpec(title, "".join(caption), rows, ROW_IN * len(rows) + 0.3)
 
 
-def _groups(study: StudyData, parameter: Parameter) -> tuple[list[CurveGroup], str]:
+def _facets(study: StudyData, others: Sequence[Parameter]) -> list[Facet]:
+    """Return the panels of a parameter: one for each set of levels of the others, or their mean."""
+    everything = np.ones(study.flights.run.size, dtype=np.bool_)
+    if not others:
+        return [Facet("", everything)]
+    count = math.prod(len(each.levels) for each in others)
+    if study.random or count > MAX_FACETS:
+        names = [each.key for each in others]
+        return [
+            Facet("\n".join(textwrap.wrap(f"mean over {', '.join(names)}", MAX_ACROSS)), everything)
+        ]
+    facets = []
+    for levels in product(*(range(len(each.levels)) for each in others)):
+        chosen = list(zip(others, levels, strict=True))
+        names = [f"{each.key} {format_level(each.levels[k])}" for each, k in chosen]
+        here = np.logical_and.reduce([each.index == k for each, k in chosen])
+        facets.append(Facet("\n".join(names), here))
+    return facets
+
+
+def _groups(
+    study: StudyData, parameter: Parameter
+) -> tuple[list[CurveGroup], str, Sequence[Parameter]]:
     """Group the flights by case, or with one case and two parameters by the other parameter.
 
     Returns:
-        The groups, and in words what they are; "" for a single group.
+        The groups, in words what they are ("" for a single group), and the parameters that differ
+        within a group.
     """
     flights = study.flights
     others = [each for each in flights.parameters if each is not parameter]
@@ -127,42 +176,50 @@ def _groups(study: StudyData, parameter: Parameter) -> tuple[list[CurveGroup], s
     if parameter is not flights.law and len(flights.by_case) < len(groups) <= len(STYLES):
         spacing = 0.5 / len(groups)
         middle = 0.5 * (len(groups) - 1)
-        return [
+        of_laws = [
             CurveGroup(each.name, each.flights, *STYLES[k], shift=spacing * (k - middle))
             for k, each in enumerate(groups)
-        ], "cases and laws" if len(flights.by_case) > 1 else "laws"
+        ]
+        by = "cases and laws" if len(flights.by_case) > 1 else "laws"
+        return of_laws, by, [each for each in others if each is not flights.law]
     names: Sequence[str] = flights.cases
     index, by = flights.case_index, "cases"
     if len(flights.cases) == 1:
         other = others[0] if len(others) == 1 and not study.random else None
         if other is None or len(other.levels) > len(STYLES):
             everything = np.ones(flights.run.size, dtype=np.bool_)
-            return [CurveGroup("", everything, *STYLES[0], shift=0.0)], ""
+            return [CurveGroup("", everything, *STYLES[0], shift=0.0)], "", others
         names = [f"{other.key} {format_level(level)}" for level in other.levels]
-        index, by = other.index, "levels of the other parameter"
+        index, by, others = other.index, "levels of the other parameter", []
     count = min(len(names), len(STYLES))
     spacing = 0.5 / max(count, 2)
     # beside curves of cases and laws, cases alone have other colours
     first = len(groups) if len(groups) > len(flights.by_case) else 0
     styles = STYLES[first:] if first + count <= len(STYLES) else STYLES
-    return [
+    of_names = [
         CurveGroup(names[k], index == k, *styles[k], shift=spacing * (k - 0.5 * (count - 1)))
         for k in range(count)
-    ], by
+    ]
+    return of_names, by, others
 
 
 def _curves(
-    study: StudyData, metric: str, parameter: Parameter, groups: Sequence[CurveGroup]
+    study: StudyData,
+    metric: str,
+    parameter: Parameter,
+    groups: Sequence[CurveGroup],
+    facet: Facet,
 ) -> Panel:
     lines: list[Line] = []
     bands: list[Band] = []
     values: list[Array] = []
     crosses: list[tuple[float, float]] = []
     for group in groups:
+        of_group = group.flights & facet.flights
         estimates = [
             study.estimate(
                 metric,
-                group.flights & (parameter.index == k),
+                of_group & (parameter.index == k),
                 f"{parameter.key}/{format_level(level)}/{group.name}",
             )
             for k, level in enumerate(parameter.levels)
@@ -186,7 +243,7 @@ def _curves(
                 if np.isfinite(ends).all()
             ]
         for k, at in enumerate(x):
-            incomplete = group.flights & (parameter.index == k) & ~study.flights.completed
+            incomplete = of_group & (parameter.index == k) & ~study.flights.completed
             if incomplete.any() and np.isfinite(y[k]):
                 crosses.append((float(at), float(y[k])))
     if crosses:
@@ -195,9 +252,9 @@ def _curves(
     ticks = [(float(k), format_level(level)) for k, level in enumerate(parameter.levels)]
     limits = (-0.5, len(parameter.levels) - 0.5)
     return Panel(
-        "",
+        facet.title,
         wrap_key(parameter.key, MAX_ACROSS),
-        axis_label(metric),
+        axis_label(metric, MAX_BESIDE),
         lines,
         bands,
         x_log=parameter.logarithmic,
@@ -209,14 +266,18 @@ def _curves(
 
 
 def _scatter(
-    study: StudyData, metric: str, parameter: Parameter, groups: Sequence[CurveGroup]
+    study: StudyData,
+    metric: str,
+    parameter: Parameter,
+    groups: Sequence[CurveGroup],
+    facet: Facet,
 ) -> Panel:
     x, y = parameter.numbers[parameter.index], study.flights.metrics[metric]
     lines: list[Line] = []
     known = study.flights.completed & np.isfinite(y)
     single = len(groups) == 1
     for group in groups:
-        rows = np.flatnonzero(group.flights & known)
+        rows = np.flatnonzero(group.flights & facet.flights & known)
         rows = rows[np.argsort(x[rows], kind="stable")]
         dots = rows[decimate_evenly(rows.size)]
         lines.append(Line(x[dots], y[dots], group.colour, group.name, dots=True))
@@ -232,6 +293,6 @@ def _scatter(
                 label = f"{share:.0%}" if single else ""
                 lines.append(Line(middle[at], values[at], colour, label, 1.8, dashes=dashes))
     return Panel(
-        "", wrap_key(parameter.key, MAX_ACROSS), axis_label(metric), lines,
+        facet.title, wrap_key(parameter.key, MAX_ACROSS), axis_label(metric, MAX_BESIDE), lines,
         x_log=parameter.logarithmic, y_log=needs_log_axis(y[known]), note=EMPTY_NOTE,
     )  # fmt: skip

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -55,9 +56,10 @@ def metric_title(metric: str) -> str:
     return words[0].upper() + words[1:]
 
 
-def axis_label(metric: str) -> str:
-    """Return the words and the unit of a metric."""
-    return ", ".join(filter(None, metric_words(metric)))
+def axis_label(metric: str, length: int = 0) -> str:
+    """Return the words and the unit of a metric, in lines of at most this length; 0: in one."""
+    label = ", ".join(filter(None, metric_words(metric)))
+    return "\n".join(textwrap.wrap(label, length, break_long_words=False)) if length else label
 
 
 def wrap_key(key: str, length: int) -> str:
@@ -345,6 +347,7 @@ class StudyData:
         files: texts of the YAML files that repeat it, by name.
         command: returns the command that repeats a flight, by its number.
         repeat: the command that repeats the study.
+        missing: metrics that the study names and no flight has.
     """
 
     name: str
@@ -360,6 +363,7 @@ class StudyData:
     files: Mapping[str, str] = field(default_factory=dict)
     command: Callable[[int], str] = str
     repeat: str = ""
+    missing: tuple[str, ...] = ()
 
     @property
     def random(self) -> bool:
@@ -395,8 +399,14 @@ class StudyData:
         values = self.unit_means(self.flights.metrics[metric], where)
         return bootstrap(values, self.statistic, f"{metric}/{name}")
 
-    def differences(self, metric: str, case: int) -> Array:
-        """Compute a case minus the first one (n,), paired by point and seed, by unit."""
+    def differences(self, metric: str, case: int, where: BoolArray | None = None) -> Array:
+        """Compute a case minus the first one (n,), paired by point and seed, by unit.
+
+        Args:
+            metric: its name.
+            case: index of the case.
+            where: (R,) the flights of the case to use; None: all.
+        """
         flights = self.flights
         values = np.where(flights.completed, flights.metrics[metric], math.nan)
         first = {
@@ -411,7 +421,8 @@ class StudyData:
         baseline = np.array(
             [first.get(key, math.nan) for key in zip(flights.point, flights.seed, strict=True)]
         )
-        return self.unit_means(values - baseline, flights.case_index == case)
+        own = flights.case_index == case
+        return self.unit_means(values - baseline, own if where is None else own & where)
 
 
 def format_level(value: Value) -> str:
