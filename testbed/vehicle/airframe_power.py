@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from testbed.vehicle.airframe_grammar import ENGINES, THRUSTERS
 
-_FLIES = "the testbed flies aeroplanes, with engines on propellers, with jets, or without an engine"
+_FLIES = "the testbed flies aeroplanes with engines on propellers, with jets, or without an engine"
 _REFUSED = {
     "rocket_engine": (
         "has a rocket engine, which has no throttle setting at which a flight is steady; " + _FLIES
@@ -90,19 +90,24 @@ class PowerParts:
         (self._mount or self).files.extend(files)
 
 
-def power_faults(name: str, parts: Mapping[Path, PowerParts]) -> list[AirframeFault]:
-    """Return why an aircraft is not flown, by its engines and thrusters.
+def kind_faults(name: str, parts: Mapping[Path, PowerParts]) -> list[AirframeFault]:
+    """Return why an aircraft is no aeroplane, by the parts of its files: one fault of each kind."""
+    found = dict[str, AirframeFault]()
+    for each in parts.values():
+        for kind, place in each.kinds:
+            if kind in _REFUSED:
+                found.setdefault(kind, AirframeFault(place, f"{name} {_REFUSED[kind]}"))
+    return list(found.values())
+
+
+def pair_faults(name: str, parts: Mapping[Path, PowerParts]) -> list[AirframeFault]:
+    """Return which engines of an aircraft do not fit their thrusters.
 
     Args:
         name: of the aircraft.
         parts: of each of its files.
     """
-    faults = [
-        AirframeFault(place, f"{name} {_REFUSED[kind]}")
-        for each in parts.values()
-        for kind, place in each.kinds
-        if kind in _REFUSED
-    ]
+    faults = list[AirframeFault]()
     for each in parts.values():
         for mount in each.mounts:
             kinds = {*mount.kinds, *_kinds_of(mount.files, parts)}

@@ -26,7 +26,13 @@ from testbed.vehicle.airframe_grammar import (
     property_problem,
     row_of,
 )
-from testbed.vehicle.airframe_power import AirframeFault, FileLine, PowerParts, power_faults
+from testbed.vehicle.airframe_power import (
+    AirframeFault,
+    FileLine,
+    PowerParts,
+    kind_faults,
+    pair_faults,
+)
 from testbed.vehicle.forked_trial import ForkedResult, Work, run_forked
 from testbed.vehicle.powerplant import AircraftError
 
@@ -91,8 +97,10 @@ def check_airframe(folder: Path) -> None:
     main = _main_file(folder)
     checked = check_files(main)
     parts = {file: check.parts for file, check in checked.items()}
+    # of what is no aeroplane, nothing else matters
+    raise_faults(kind_faults(folder.name, parts))
     faults = [fault for check in checked.values() for fault in check.faults]
-    raise_faults([*faults, *power_faults(folder.name, parts)])
+    raise_faults([*faults, *pair_faults(folder.name, parts)])
 
 
 def raise_faults(faults: Sequence[AirframeFault]) -> None:

@@ -46,6 +46,7 @@ _SIZES = ("inertia/mass-slugs", "metrics/Sw-sqft", "metrics/bw-ft", "metrics/cba
 
 _TILT = 1.0  # rad, of the attitudes in which contact points are found
 _INCIDENCE = 0.02  # rad, far from the stall
+_SMALLEST_SLOPE = 0.3  # 1/rad, of a lift coefficient; that of a slender delta wing is 1.5
 _ALPHAS = np.radians(np.arange(0.0, 45.1, 0.1))  # searched for the stall
 
 
@@ -351,6 +352,13 @@ def _probe(folder: Path, on_error: Callable[[str], None]) -> dict[str, Any]:
     for name in _SIZES:
         if not 0.0 < (size := model.node(name).get_double_value()) < math.inf:
             raise AircraftError(f"{name} is {size:g} when loaded; it must be greater than 0")
+    low, high = (_lift(model, alpha) for alpha in (0.0, _INCIDENCE))
+    slope = (high - low) / _INCIDENCE / model.node("metrics/Sw-sqft").get_double_value()
+    if not slope > _SMALLEST_SLOPE:
+        raise AircraftError(
+            f"{folder.name} has no wing: its lift coefficient grows by {slope:.2g} per radian of "
+            "angle of attack; the testbed flies aeroplanes, whose wings carry them"
+        )
     inertia = model.inertia()
     if fault := impossible_inertia(inertia):
         raise AircraftError(f"mass_balance: no rigid body has {fault}")

@@ -27,7 +27,7 @@ _TURNS = ("p-rad_sec", "q-rad_sec", "r-rad_sec", "roll-coefficient")
 _DEFLECTED = ("left-aileron", *SURFACES[1:])  # ailerons deflect together
 _SETTLING_HZ = 200  # steps per second meanwhile, whatever the rate of the flight
 _MAX_SPIN_STEPS = 6000  # until engines, propellers and surfaces have settled
-_MAX_CRANK_STEPS = 4000  # until piston engines run
+_MAX_CRANK_STEPS = 2000  # until piston engines run
 _WARM_UP_STEPS = 400  # with the starter off
 INTEGRATOR_STEPS = 6  # one more than JSBSim's integrators use
 NO_TIME = 1e-12  # s
@@ -247,7 +247,11 @@ class JsbsimModel:
                     self.fdm.run()
 
     def _start(self, placement: Placement, course: float) -> None:
-        """Start the engines: pistons with their starters, at rest, in steps of time."""
+        """Start the engines: pistons with their starters, at rest, in steps of time.
+
+        JSBSim can set engines running at once, but stops light propellers of variable pitch by it.
+        Pistons are set running so only where the starter is too weak.
+        """
         if self.power.has_pistons:
             still = replace(placement, velocity_body=STILL, rates_body=STILL)
             self._initialise(still, course, STILL)
@@ -263,7 +267,8 @@ class JsbsimModel:
                     self.fdm.run()
             self._hold(0.0)
         self._initialise(placement, course, STILL)
-        self.power.run_turbines()
+        if not self.power.runs:
+            self.power.set_running()
 
     def _spin(self, placement: Placement, course: float) -> None:
         """Hold the aircraft in a wind of its airspeed until propellers and surfaces settle."""

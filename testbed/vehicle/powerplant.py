@@ -105,10 +105,9 @@ class Powerplant:
         self._find("propulsion/magneto_cmd").set_double_value(_IGNITION)
         self._find("propulsion/starter_cmd").set_double_value(float(starter))
 
-    def run_turbines(self) -> None:
-        """Let turbines and turboprops run, at the speed of their throttle."""
-        if self._turbines:
-            self._find("propulsion/set-running").set_double_value(_ALL_ENGINES)
+    def set_running(self) -> None:
+        """Let all engines run at the speed of their throttle, as JSBSim finds it."""
+        self._find("propulsion/set-running").set_double_value(_ALL_ENGINES)
 
     def remove_torque(self, *, removed: bool) -> None:
         """Let propellers turn without torque on the airframe, or with it again."""

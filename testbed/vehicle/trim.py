@@ -33,6 +33,7 @@ _MAX_STEP = np.array([0.08, 0.05, 0.3, 0.3, 0.3, 0.3])  # of one Newton iteratio
 _LOW = np.array([-0.3, -0.3, -1.0, -1.0, -1.0, 0.0])
 _HIGH = np.array([0.5, 0.3, 1.0, 1.0, 1.0, 1.0])
 _ITERATIONS = 40
+_PATIENCE = 8  # iterations without a smaller residual
 _STEADY = 1e-4  # m/s² and rad/s², largest acceptable residual
 _FIRST_THROTTLES = (0.3, 0.6, 0.9)  # thrust may fall with throttle while the propeller brakes
 _STEEPEST, _HIGHEST = -1.0, 0.2  # rad, flight-path angles of a glider
@@ -256,12 +257,13 @@ def _newton(model: TrimModel, point: TrimPoint, first: float) -> tuple[Array, fl
     if not model.has_engine:
         low[5], high[5] = _STEEPEST, _HIGHEST
     f = _residual(model, point, x, spin=True)
-    best_x, best = x, np.inf
+    best_x, best, since = x, np.inf, 0
     for _ in range(_ITERATIONS):
         size = float(np.max(np.abs(f)))
+        since += 1
         if size < best:
-            best_x, best = x, size
-        if size < _CONVERGED:
+            best_x, best, since = x, size, 0
+        if size < _CONVERGED or since > _PATIENCE:
             break
         jacobian = np.empty((6, 6))
         for j in range(6):
