@@ -18,23 +18,20 @@ from pathlib import Path
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import jsbsim
-import numpy as np
 
 from testbed.core.errors import InputError
-from testbed.core.frames import FOOT
 from testbed.core.input_files import open_regular
 from testbed.core.records import Airframe, NedOrigin
+from testbed.vehicle.airframe_measurement import cruise_airspeed, lift_slope, measured_airframe
 from testbed.vehicle.airframe_validation import MAX_BYTES, probe_in_copy
 from testbed.vehicle.control_surfaces import ControlGeometry, find_control_geometry
 from testbed.vehicle.environment import INTEGRATORS, Integrators
 from testbed.vehicle.inertia import impossible_inertia, unlikely_inertia
-from testbed.vehicle.jsbsim_model import POUND, SLOWEST_PROBE, JsbsimModel, Traits, find_traits
+from testbed.vehicle.jsbsim_model import SLOWEST_PROBE, JsbsimModel, Traits, find_traits
 from testbed.vehicle.linearize import Linear, NaturalMode, find_modes, linearize
 from testbed.vehicle.powerplant import AircraftError
 from testbed.vehicle.trim import (
-    STILL,
-    Controls,
-    Placement,
+    TrimError,
     TrimPoint,
     TrimResult,
     error_prefix,
@@ -43,71 +40,8 @@ from testbed.vehicle.trim import (
 
 # Set by the files; properties and point masses may change them when loaded.
 _SIZES = ("inertia/mass-slugs", "metrics/Sw-sqft", "metrics/bw-ft", "metrics/cbarw-ft")
-
-_TILT = 1.0  # rad, of the attitudes in which contact points are found
-_INCIDENCE = 0.02  # rad, far from the stall
+_CRUISE_TRIES = (1.0, 1.25, 0.85, 1.6)  # of the airspeed of CRUISE_LIFT
 _SMALLEST_SLOPE = 0.3  # 1/rad, of a lift coefficient; that of a slender delta wing is 1.5
-_ALPHAS = np.radians(np.arange(0.0, 45.1, 0.1))  # searched for the stall
-
-
-def measured_airframe(model: JsbsimModel) -> Airframe:
-    """Measure wing size, mass with fuel, lift slope and stall angle.
-
-    The wind is sampled ahead of and behind the centre of gravity at the distance of the tail, or of
-    half a chord without a tail. The stall angle has the largest lift with neutral controls.
-    """
-    size = {
-        name: model.node(f"metrics/{key}").get_double_value()
-        for name, key in (("area", "Sw-sqft"), ("span", "bw-ft"), ("tail", "lh-ft"))
-    }
-    chord = model.node("metrics/cbarw-ft").get_double_value()
-    low, high = (_lift(model, alpha) for alpha in (0.0, _INCIDENCE))  # also initialises the fuel
-    mass = model.node("inertia/mass-slugs").get_double_value()
-    lifts = [_lift(model, alpha) for alpha in _ALPHAS]
-    largest = int(np.argmax(lifts))
-    return Airframe(
-        span=size["span"] * FOOT,
-        area=size["area"] * FOOT**2,
-        arm=(size["tail"] or 0.5 * chord) * FOOT,
-        mass=mass * POUND / FOOT,
-        lift_slope=(high - low) / _INCIDENCE / size["area"],
-        stall_angle=math.inf if largest == len(lifts) - 1 else float(_ALPHAS[largest]),
-        contact_radius=_contact_radius(model),
-    )
-
-
-def _contact_radius(model: JsbsimModel) -> float:
-    """Return the distance of the farthest contact point from the centre of gravity, m.
-
-    JSBSim tells the heights of its contact points: their distances below the centre of gravity in
-    three attitudes are those along the axes of the body.
-    """
-    points = range(int(model.node("gear/num-units").get_double_value()))
-    heights = [
-        model.find(f"gear/unit[{k}]/AGL-ft") or model.node(f"contact/unit[{k}]/AGL-ft")
-        for k in points
-    ]
-    below = []
-    for roll, pitch in ((0.0, 0.0), (0.0, _TILT), (_TILT, 0.0)):
-        placement = Placement((model.probe_speed, 0.0, 0.0), STILL, roll, pitch, 0.0)
-        model.place(placement, Controls(0.0, 0.0, 0.0, 0.0), spin=False)
-        centre = model.node("position/h-agl-ft").get_double_value()
-        below.append([centre - each.get_double_value() for each in heights])
-    z, pitched, rolled = np.array(below).reshape(3, -1) * FOOT
-    x = (z * math.cos(_TILT) - pitched) / math.sin(_TILT)
-    y = (rolled - z * math.cos(_TILT)) / math.sin(_TILT)
-    return float(np.max(np.sqrt(x * x + y * y + z * z), initial=0.0))
-
-
-def _lift(model: JsbsimModel, alpha: float) -> float:
-    """Return lift divided by dynamic pressure at an angle of attack, ft²."""
-    speed = model.probe_speed
-    velocity = (speed * math.cos(alpha), 0.0, speed * math.sin(alpha))
-    neutral = Controls(0.0, 0.0, 0.0, 0.0)
-    model.place(Placement(velocity, STILL, 0.0, alpha, 0.0), neutral, spin=False)
-    # unlike its other forces, JSBSim's aerodynamic force has lift and drag positive
-    force = model.node("forces/fwz-aero-lbs").get_double_value()
-    return float(force) / float(model.node("aero/qbar-psf").get_double_value())
 
 
 _Rest = ParamSpec("_Rest")
@@ -218,6 +152,31 @@ def trim_aircraft(folder: Path, point: TrimPoint, origin: NedOrigin | None = Non
         AircraftError, TrimError: there is no such aircraft, or no steady flight at the point.
     """
     return _trim_aircraft(folder, point, origin or NedOrigin())
+
+
+def find_cruise(folder: Path, airspeed: float | None = None, altitude: float = 400.0) -> TrimResult:
+    """Trim the aircraft in a folder in level flight, or a glider in its descent.
+
+    Args:
+        folder: of the aircraft.
+        airspeed: true, m/s; default: that of a lift coefficient of 0.4 at sea level, or where there
+            is no steady flight the first of 1.25, 0.85 and 1.6 times that speed.
+        altitude: m above sea level.
+
+    Raises:
+        AircraftError: JSBSim cannot load an aircraft from the folder, or it is no aeroplane.
+        TrimError: there is no steady flight; of several speeds the error of the first one.
+    """
+    if airspeed is not None:
+        return trim_aircraft(folder, TrimPoint(airspeed, altitude=altitude))
+    cruise = cruise_airspeed(airframe(folder))
+    errors = list[TrimError]()
+    for factor in _CRUISE_TRIES:
+        try:
+            return trim_aircraft(folder, TrimPoint(factor * cruise, altitude=altitude))
+        except TrimError as error:
+            errors.append(error)
+    raise errors[0]
 
 
 @cache_by_folder(maxsize=64)
@@ -352,12 +311,10 @@ def _probe(folder: Path, on_error: Callable[[str], None]) -> dict[str, Any]:
     for name in _SIZES:
         if not 0.0 < (size := model.node(name).get_double_value()) < math.inf:
             raise AircraftError(f"{name} is {size:g} when loaded; it must be greater than 0")
-    low, high = (_lift(model, alpha) for alpha in (0.0, _INCIDENCE))
-    slope = (high - low) / _INCIDENCE / model.node("metrics/Sw-sqft").get_double_value()
-    if not slope > _SMALLEST_SLOPE:
+    if not (slope := lift_slope(model)) > _SMALLEST_SLOPE:
         raise AircraftError(
-            f"{folder.name} has no wing: its lift coefficient grows by {slope:.2g} per radian of "
-            "angle of attack; the testbed flies aeroplanes, whose wings carry them"
+            f"{folder.name} is not carried by a wing: its lift coefficient grows by {slope:.2g} "
+            "per radian of angle of attack near 0; the testbed flies aeroplanes"
         )
     inertia = model.inertia()
     if fault := impossible_inertia(inertia):
