@@ -138,7 +138,7 @@ def place_model(
     watch(model)
     if start.fuel_burn:
         model.power.check_fuel()
-    level = start.airspeed * math.cos(trimmed.point.flight_path_angle)
+    level = start.airspeed * math.cos(trimmed.flight_path_angle)
     model.place(
         trimmed.placement,
         trimmed.controls,
