@@ -5,6 +5,7 @@ JSBSim's units and signs occur only here and in `jsbsim_io`.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -34,7 +35,8 @@ NO_TIME = 1e-12  # s
 POUND = 4.4482216152605  # N, of force
 _SLUG_FOOT2 = POUND * FOOT  # kg m²; a slug is a pound-force per foot/s²
 _RANKINE = 1.8  # degrees Rankine per kelvin
-_NO_EFFECT = 1e-6  # m/s² and rad/s², above rounding
+_NO_EFFECT = 1e-6  # m/s², rad/s² and rad, above rounding
+_CONVERGES = 0.1  # of the change before: more is a lag
 SLOWEST_PROBE = 20.0  # m/s, airspeed at which small aircraft are examined
 CRUISE_LIFT = 0.4  # lift coefficient, at which larger ones are
 _SHORT_STEP = 1e-5  # s, for the acceleration of the propeller
@@ -235,16 +237,18 @@ class JsbsimModel:
             if not self.power.runs:  # an engine has stopped, as at a throttle that it cannot bear
                 self._start(placement, course)
                 self._spin(placement, course)
+        spools = self.power.spools()
         self._initialise(placement, course, wind_ned)
         # the initial condition leaves rounding errors in the wind
         for wind, value in zip(self.winds, wind_ned, strict=True):
             wind.set_double_value(value / FOOT)
-        if any(wind_ned):
+        if any(wind_ned) or spools:
             # The initial condition had no wind. Integrate over next to no time until accelerations
             # with the wind fill the memory of JSBSim's integrators; suspended runs do not.
             with self._step(NO_TIME):
                 for _ in range(INTEGRATOR_STEPS):
                     self.fdm.run()
+                    self.power.set_spools(spools)
 
     def _start(self, placement: Placement, course: float) -> None:
         """Start the engines: pistons with their starters, at rest, in steps of time.
@@ -411,8 +415,7 @@ def find_traits(model: JsbsimModel) -> Traits:
     yawed = model.accelerations(ahead, Controls(0.0, 0.0, 0.5, 0.0), spin=True)
     model.accelerations(ahead, neutral, spin=True)
     pulled = Controls(0.1, 0.1, 0.0, 0.0)
-    # moments that depend on the rate of the angle of attack settle in the second evaluation
-    _, early, late = (model.accelerations(ahead, pulled, spin=False) for _ in range(3))
+    has_lag = _surfaces_lag(model, ahead, pulled)
     model.accelerations(ahead, neutral, spin=True)
     moved = model.accelerations_after_no_time(pulled)
     return Traits(
@@ -420,5 +423,19 @@ def find_traits(model: JsbsimModel) -> Traits:
         has_engine=model.has_engine,
         lags_by_step=bool(np.max(np.abs(moved - before)) < _NO_EFFECT),
         has_rudder=bool(np.max(np.abs(yawed - before)) > _NO_EFFECT),
-        has_lag=bool(np.max(np.abs(late - early)) > _NO_EFFECT),
+        has_lag=has_lag,
     )
+
+
+def _surfaces_lag(model: JsbsimModel, placement: Placement, controls: Controls) -> bool:
+    """Return whether surfaces follow commands with a lag, by three placements without `spin`.
+
+    Forces that depend on the rate of the angle of attack change too, but by much less each time.
+    """
+    found, deflected = [], []
+    for _ in range(3):
+        found.append(model.accelerations(placement, controls, spin=False))
+        deflected.append(model.deflections())
+    first, second = (float(np.max(np.abs(b - a))) for a, b in itertools.pairwise(found))
+    moved = max(float(np.max(np.abs(b - a))) for a, b in itertools.pairwise(deflected))
+    return moved > _NO_EFFECT or second > max(_NO_EFFECT, _CONVERGES * first)

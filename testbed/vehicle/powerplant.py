@@ -66,6 +66,8 @@ class Powerplant:
         self._settling += [node.get_double_value for node in self._nodes(pistons, "map-inhg")]
         jets = [k for k in gas_turbines if not find(f"propulsion/engine[{k}]/propeller-rpm")]
         self._settling += [node.get_double_value for node in self._nodes(jets, "thrust-lbs")]
+        turboprops = [k for k in gas_turbines if k not in jets]
+        self._spools = self._nodes(turboprops, "n1")
         self._freeze = find("propulsion/fuel_freeze")
         self.freeze_fuel(frozen=True)
         for k in each:
@@ -108,6 +110,15 @@ class Powerplant:
     def set_running(self) -> None:
         """Let all engines run at the speed of their throttle, as JSBSim finds it."""
         self._find("propulsion/set-running").set_double_value(_ALL_ENGINES)
+
+    def spools(self) -> list[float]:
+        """Return the speeds of the gas generators of turboprops, which JSBSim lets idle again."""
+        return [node.get_double_value() for node in self._spools]
+
+    def set_spools(self, speeds: Sequence[float]) -> None:
+        """Set these speeds; JSBSim overwrites them in the first step after an initial condition."""
+        for node, speed in zip(self._spools, speeds, strict=True):
+            node.set_double_value(speed)
 
     def remove_torque(self, *, removed: bool) -> None:
         """Let propellers turn without torque on the airframe, or with it again."""
