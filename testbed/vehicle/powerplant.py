@@ -15,6 +15,7 @@ from testbed.core.errors import InputError
 _IGNITION = 3  # of both magnetos
 _ALL_ENGINES = -1
 _RESTS = 1e-9  # relative change in a step
+_TURNS = 1.0  # rpm
 _FREE, _FROZEN = 0.0, 1.0
 
 
@@ -96,6 +97,11 @@ class Powerplant:
     def runs(self) -> bool:
         """Return whether all engines that are started run."""
         return self.pistons_run and all(get() for get in self._turbines)
+
+    @property
+    def stands_still(self) -> bool:
+        """Return whether a propeller of an engine that burns fuel does not turn."""
+        return self.burns_fuel and any(get() < _TURNS for get in self._speeds)
 
     @property
     def pistons_run(self) -> bool:
@@ -191,10 +197,10 @@ class Powerplant:
         initial.set_double_value(initial.get_double_value() + min(more, 0.0))
 
 
-def at_rest(before: Sequence[float], after: Sequence[float]) -> bool:
-    """Return whether values have not changed in a step, but for rounding."""
+def at_rest(before: Sequence[float], after: Sequence[float], share: float = _RESTS) -> bool:
+    """Return whether values have changed in a step by less than a share, by default rounding."""
     return all(
-        abs(new - old) < _RESTS * abs(new) or new == old
+        abs(new - old) < share * abs(new) or new == old
         for old, new in zip(before, after, strict=True)
     )
 

@@ -221,6 +221,7 @@ def trim(model: TrimModel, point: TrimPoint) -> TrimResult:
         if best <= _STEADY:
             break
     if best > _STEADY:
+        model.check_engines()
         sixth = (
             f"throttle {best_x[5]:.2f}"
             if model.has_engine
