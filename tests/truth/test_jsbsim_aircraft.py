@@ -56,7 +56,7 @@ def test_trimmed_flight_goes_on(folders, name):
     assert np.isnan(fleet.air().state_of_charge[0])
 
 
-def test_propeller_thrust_is_shaft_power_times_efficiency(folders):
+def test_thrust_is_shaft_power_times_efficiency(folders):
     model = placed(folders["c172p"])
     power = value(model, "propulsion/engine/power-hp") * 550.0  # ft lb/s
     speed = value(model, "velocities/vt-fps")
@@ -64,10 +64,10 @@ def test_propeller_thrust_is_shaft_power_times_efficiency(folders):
     assert 0.6 < efficiency < 0.9
 
 
-def test_engines_that_are_not_started_give_no_trim(folders, tmp_path, monkeypatch):
+def test_engines_not_started_give_no_trim(folders, tmp_path, monkeypatch):
     """What the start is for: a piston at rest only brakes."""
     monkeypatch.setattr(powerplant.Powerplant, "runs", property(lambda power: True))
-    with pytest.raises(TrimError, match="no steady flight"):
+    with pytest.raises(TrimError, match="a propeller stands still"):
         trim_aircraft(of_jsbsim("c172p", tmp_path), TrimPoint(55.0))
 
 
@@ -168,7 +168,7 @@ class TestPropellerMode:
         assert (throttle > 1.0) if name != "SGS" else throttle == pytest.approx(0.0, abs=1e-6)
 
 
-def test_piston_throttle_gives_its_settled_acceleration(folders):
+def test_piston_throttle_is_of_settled_engine(folders):
     """The slope between two settled throttles, by A and B: that of the propeller is in n."""
     folder = folders["c172p"]
     point = TrimPoint(55.0)
