@@ -46,6 +46,7 @@ class SurfaceModel(Protocol):
 
     has_rudder: bool  # the rudder command has an effect
     has_lag: bool  # surfaces lag behind their commands, unless placed with `spin`
+    probe_speed: float  # m/s, at which the aircraft is examined
 
     def place(self, placement: Placement, controls: Controls, *, spin: bool) -> None:
         """Place the aircraft; with `spin` surfaces settle first."""
@@ -136,6 +137,7 @@ def check_faults(
     geometry: ControlGeometry,
     row: int,
     *,
+    engine: bool,
     battery: bool,
     faults: Iterable[Any],
 ) -> None:
@@ -146,7 +148,8 @@ def check_faults(
         aircraft: its model, "rascal110".
         geometry: of all aircraft.
         row: of this aircraft.
-        battery: whether it has one.
+        engine: whether it has one.
+        battery: the same.
         faults: of the scenario; each has a `kind`, and some a `surface` and a `when`.
 
     Raises:
@@ -154,6 +157,10 @@ def check_faults(
     """
     fitted = [each for each, has in zip(SURFACES, geometry.fitted[row], strict=True) if has]
     for fault in faults:
+        if fault.kind in ("engine-out", "thrust-loss") and not engine:
+            raise InputError(
+                f"{name}: fault {fault.kind}: {aircraft} has no engine (leave the fault out)"
+            )
         if fault.kind == "battery-low" and not battery:
             raise InputError(
                 f"{name}: fault battery-low: {aircraft} has no battery; write engine-out or "
@@ -186,7 +193,7 @@ def find_control_geometry(model: SurfaceModel) -> ControlGeometry:
     Args:
         model: located.
     """
-    ahead = Placement((20.0, 0.0, 0.0), STILL, 0.0, 0.0, 0.0)
+    ahead = Placement((model.probe_speed, 0.0, 0.0), STILL, 0.0, 0.0, 0.0)
 
     def at(aileron: float, elevator: float) -> Array:
         model.place(ahead, Controls(aileron, elevator, elevator, 0.0), spin=model.has_lag)
