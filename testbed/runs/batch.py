@@ -7,7 +7,7 @@ import math
 import os
 import time
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeAlias
 
@@ -34,6 +34,7 @@ from testbed.flight.tick_loop import PAUSED, PLACE
 from testbed.metrics import MetricsObserver
 from testbed.metrics.model import Metrics
 from testbed.plan.world import RowRecords, build
+from testbed.runs.progress import Progress, compiling_report, reporting_progress
 from testbed.runs.run import find_loaded
 from testbed.runs.simulation import EventCollector, flight_metrics
 from testbed.scenario import Scenario, set_seed
@@ -61,7 +62,8 @@ class Batch:
         seeds: of the rows; None: that of the scenario for each of `rows`.
         rows: for each row `key=value` of its own; only with a name or path. None: none.
         threads: that fly; None: one for each available processor.
-        compiling: as of `testbed.run`.
+        duration_s: of all flights, s; None: that of the scenario.
+        progress: of compiling, as of `testbed.run`.
 
     Attributes:
         seeds: R, of the flights.
@@ -86,11 +88,12 @@ class Batch:
         seeds: Sequence[int] | None = None,
         rows: Sequence[Sequence[str]] | None = None,
         threads: int | None = None,
-        compiling: Callable[[int, int], None] | None = None,
+        duration_s: float | None = None,
+        progress: Progress = None,
     ) -> None:
         """See the class."""
         self._threads = _processors() if threads is None else check_count("threads", threads)
-        self._scenarios = _row_scenarios(scenario, overrides, seeds, rows)
+        self._scenarios = _row_scenarios(scenario, overrides, seeds, rows, duration_s)
         self.seeds = [each.scenario.seed for each in self._scenarios]
         first = self._scenarios[0]
         self.names = first.aircraft_names
@@ -112,7 +115,10 @@ class Batch:
         arrays = zip(aircraft, followers, links, commands, strict=True)
         self._records = [(RowRecords(*each), own) for each, own in zip(arrays, place, strict=True)]
         self.outcomes: list[str | None] = [None] * size
-        with reporting(compiling):
+        with (
+            reporting_progress(progress, first.name) as report,
+            reporting(compiling_report(report)),
+        ):
             self._rows = [self._build(row) for row in range(size)]
         self.times_s: Array = self._places["now"]
         self._commanded = np.array([each.commanded for each in self._rows])
@@ -350,6 +356,7 @@ def _row_scenarios(
     overrides: Sequence[str],
     seeds: Sequence[int] | None,
     rows: Sequence[Sequence[str]] | None,
+    duration_s: float | None,
 ) -> list[Scenario]:
     """Return the scenario of each row."""
     if isinstance(scenario, list | tuple):
@@ -357,7 +364,11 @@ def _row_scenarios(
             raise InputError("scenario: is a list (write scenarios alone, without overrides, rows)")
         if not scenario or (seeds is not None and len(seeds) != len(scenario)):
             raise InputError("seeds: write one seed for each scenario, and at least one scenario")
-        return [set_seed(e, seeds[k]) if seeds is not None else e for k, e in enumerate(scenario)]
+        own_seeds = [None] * len(scenario) if seeds is None else seeds
+        return [
+            find_loaded(each, (), duration_s=duration_s, seed=seed)
+            for each, seed in zip(scenario, own_seeds, strict=True)
+        ]
     assert not isinstance(scenario, Sequence) or isinstance(scenario, str), "else it is a list"
     texts = check_overrides("overrides", overrides)
     own = [()] if rows is None else [check_overrides(f"rows[{k}]", e) for k, e in enumerate(rows)]
@@ -369,7 +380,7 @@ def _row_scenarios(
     found = []
     for k, each in enumerate(own):
         if each not in known:
-            known[each] = find_loaded(scenario, (*texts, *each))
+            known[each] = find_loaded(scenario, (*texts, *each), duration_s=duration_s)
         found.append(known[each] if seeds is None else set_seed(known[each], seeds[k]))
     return found
 

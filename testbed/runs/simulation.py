@@ -33,6 +33,7 @@ from testbed.metrics.document import finalise, write_json
 from testbed.metrics.model import Metrics
 from testbed.plan.world import build, build_single
 from testbed.runs.external_options import external_summary
+from testbed.runs.progress import Progress, check_progress, compiling_report, reporting_progress
 from testbed.runs.run import check_observers, find_loaded, open_run_directory
 from testbed.scenario import Scenario, SingleAircraft, set_seed
 from testbed.scenario.aircraft import ArduPlane
@@ -56,10 +57,11 @@ class Simulation:
         scenario: a scenario, or the name or path of one.
         overrides: `key=value` as for `--set`; only with a name or path.
         seed: of all random streams; None: that of the scenario.
+        duration_s: at which the flight ends, s; None: that of the scenario.
         out: run directory to create, with log, resolved scenario and, after `close`, metrics; None:
             nothing is written.
         observers: as of `testbed.run`.
-        compiling: as of `testbed.run`.
+        progress: of compiling, as of `testbed.run`.
         stages: as of `testbed.run`.
 
     Attributes:
@@ -81,17 +83,21 @@ class Simulation:
         overrides: Sequence[str] = (),
         *,
         seed: int | None = None,
+        duration_s: float | None = None,
         out: str | os.PathLike[str] | None = None,
         observers: Sequence[Observer] = (),
-        compiling: Callable[[int, int], None] | None = None,
+        progress: Progress = None,
         stages: Sequence[UserStage] = (),
     ) -> None:
         """See the class."""
         self._stages = check_stages(stages)
         self._out = None if out is None else check_path("out", out)
-        check_observers(observers, compiling)
+        check_observers(observers)
+        check_progress(progress)
         self.scenario: Scenario | SingleAircraft = (
-            scenario if isinstance(scenario, SingleAircraft) else find_loaded(scenario, overrides)
+            scenario
+            if isinstance(scenario, SingleAircraft)
+            else find_loaded(scenario, overrides, duration_s=duration_s)
         )
         for each in self.scenario.aircraft:
             if isinstance(each.autopilot, ArduPlane):
@@ -99,7 +105,7 @@ class Simulation:
                     f"{each.name} has autopilot: ardupilot, a program of its own (fly it with "
                     "testbed.run, or write autopilot: virtual)"
                 )
-        self._further, self._compiling = tuple(observers), compiling
+        self._further, self._progress = tuple(observers), progress
         self._flown = False
         self._open: list[Observer] = []  # observers that have begun
         self._unclosed: list[McapRecorder] = []  # at most one
@@ -121,7 +127,14 @@ class Simulation:
         scenario = self.scenario
         if seed is not None:
             scenario = set_seed(scenario, seed)
-        with reporting(self._compiling):
+        with reporting_progress(self._progress, scenario.name) as report:
+            return self._begin(scenario, compiling_report(report))
+
+    def _begin(
+        self, scenario: Scenario | SingleAircraft, compiling: Callable[[int, int], None] | None
+    ) -> Sample:
+        """Begin a flight, and return its state."""
+        with reporting(compiling):
             if isinstance(scenario, SingleAircraft):
                 world = build_single(scenario)
             else:
@@ -137,7 +150,7 @@ class Simulation:
         observers += self._unclosed
         observers += self._further
         self._flight = Flight(world, observers, self._stages)
-        self._flight.prepare(self._compiling)
+        self._flight.prepare(compiling)
         for each in observers:
             each.begin(world.info)
             self._open.append(each)
