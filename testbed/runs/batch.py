@@ -13,7 +13,6 @@ from typing import TypeAlias
 
 import numpy as np
 
-from testbed.commands.autopilot_session import MANUAL_ANGLE_LIMIT
 from testbed.core.call_list import run_each
 from testbed.core.compile import is_interpreted, reporting
 from testbed.core.errors import InputError
@@ -31,9 +30,10 @@ from testbed.core.records import (
 from testbed.core.saved_state import SavedState
 from testbed.flight.loop import Flight
 from testbed.flight.tick_loop import PAUSED, PLACE
-from testbed.metrics import MetricsObserver
 from testbed.metrics.model import Metrics
+from testbed.metrics.observer import MetricsObserver
 from testbed.plan.world import RowRecords, build
+from testbed.runs.command_ranges import RANGES, wrong_part
 from testbed.runs.progress import Progress, compiling_report, reporting_progress
 from testbed.runs.run import find_loaded
 from testbed.runs.simulation import EventCollector, flight_metrics
@@ -46,8 +46,6 @@ from testbed.scenario.validate import shown_value
 
 Flown: TypeAlias = "Scenario | str | os.PathLike[str]"
 _PARTS = 4  # of the rows, for each thread
-_ANGLES = -MANUAL_ANGLE_LIMIT, MANUAL_ANGLE_LIMIT
-_BOUNDS = {"pitch": _ANGLES, "roll": _ANGLES, "throttle": (0.0, 1.0)}  # of commands
 
 
 class Batch:
@@ -198,15 +196,13 @@ class Batch:
                 self.outcomes[row] = self._rows[row].fly_on(each)
 
     def _check_commands(self) -> None:
-        for name, (low, high) in _BOUNDS.items() if self._commanded.any() else ():
+        for name, (low, high) in RANGES.items() if self._commanded.any() else ():
             values = self.commands[name]
             wrong = ~((values >= low) & (values <= high)) & self._commanded
             if wrong.any():
                 row, i = np.argwhere(wrong)[0].tolist()
-                raise InputError(
-                    f"commands[{row}, {i}], of {self.names[i]}: {name}: is {values[row, i]:g} "
-                    f"(write a number from {low:.4g} to {high:.4g})"
-                )
+                wrong_value = wrong_part(name, values[row, i].item())
+                raise InputError(f"commands[{row}, {i}], of {self.names[i]}: {wrong_value}")
 
     def metrics(self, row: int) -> Metrics:
         """Return the metrics of a row up to now; of a flight that goes on, "interrupted"."""

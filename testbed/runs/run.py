@@ -31,10 +31,10 @@ from testbed.logs.run_directory import (
     create_run_directory,
     write_run_file,
 )
-from testbed.metrics import MetricsObserver
 from testbed.metrics.document import finalise, write_json
 from testbed.metrics.expectations import violations
 from testbed.metrics.model import Metrics
+from testbed.metrics.observer import MetricsObserver
 from testbed.plan.resources import check_disk
 from testbed.plan.world import build
 from testbed.runs.external_options import (

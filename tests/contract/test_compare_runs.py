@@ -10,7 +10,7 @@ from record_flight import event, record, run_info, run_samples
 from snapshot import check_snapshot
 
 from testbed.logs.read import read_log
-from testbed.metrics import MetricsObserver
+from testbed.metrics.observer import MetricsObserver
 from testbed.scenario import dump, load_scenario
 from testbed.studies.compare_runs import MetricPair, compare_runs
 from testbed.views.viewer import rerun_program
