@@ -69,10 +69,12 @@ def _wrong_command(command: object) -> str:
     values = list(itertools.islice(command, len(RANGES) + 1))
     if len(values) != len(RANGES):
         return "write three numbers: pitch and roll in rad, throttle from 0 to 1"
-    for (part, (low, high)), value in zip(RANGES.items(), values, strict=True):
-        if not low <= _real(value) <= high:
-            break
-    return wrong_part(part, value)
+    wrong = (
+        wrong_part(part, value)
+        for (part, (low, high)), value in zip(RANGES.items(), values, strict=True)
+        if not low <= _real(value) <= high
+    )
+    return next(wrong, f"is {shown_value(command)} (write three numbers)")
 
 
 def _real(value: object) -> float:
