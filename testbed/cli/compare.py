@@ -111,14 +111,14 @@ def _draw(path: Path, names: Sequence[str]) -> None:
             written.
     """
     from testbed.reports import compare_figure, read_run, run_labels
-    from testbed.reports.figure_spec import PAPER_SCALE
+    from testbed.reports.figure_spec import PAPER_TEXT_PT
     from testbed.views.matplotlib_backend import save_figure
 
     first, second = (read_run(name) for name in names)
     labels = run_labels(first, second, names)
     grid = compare_figure(first, second, labels)
     with report_write_errors(f"--figure {path}"):
-        save_figure(grid, path, titled=False, scale=PAPER_SCALE)
+        save_figure(grid, path, text_pt=PAPER_TEXT_PT)
     console = result_console()
     for label, run, style in zip(labels, (first, second), ("solid", "dashed"), strict=True):
         console.write_line(f" {style:10}{label}: {run.path}")

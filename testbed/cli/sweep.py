@@ -115,6 +115,11 @@ def sweep_command(
     write_json_output(json, to_document(result, summary))
     if not quiet:
         _print_summary(result, summary, result_console(json))
+    else:
+        for each in summary.failures:
+            messages.write_line(f"warning: run {each['run']}: {each['error']}")
+        if more := _bad(result) - len(summary.failures):
+            messages.write_line(f"warning: … and {more} more")
     passed = ExitCode.DIFFERENT if result.unexpected else ExitCode.OK
     raise typer.Exit(passed if result.completed else ExitCode.AIRCRAFT_LOST)
 
@@ -140,12 +145,16 @@ def _print_summary(result: SweepResult, summary: Summary, console: PipeSafeConso
         console.write_line()
         console.write_line(f" run {each['run']}: {each['error']}", "red")
         console.write_line(f" {each['command']}", "dim")
-    bad = sum(result.outcomes.values()) - _completed(result) + result.unexpected
-    if bad > len(summary.failures):
+    if more := _bad(result) - len(summary.failures):
         console.write_line()
-        console.write_line(f" … and {bad - len(summary.failures)} more", "dim")
+        console.write_line(f" … and {more} more", "dim")
     console.write_line()
     console.write_line(f" file  {result.path}")
+
+
+def _bad(result: SweepResult) -> int:
+    """Count the runs that were not completed, or have a number outside the scenario's bounds."""
+    return sum(result.outcomes.values()) - _completed(result) + result.unexpected
 
 
 def _completed(result: SweepResult) -> int:

@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 
 from testbed.core.errors import InputError
-from testbed.reports.figure_spec import PAPER_SCALE, TIME_LABEL, samples_on_axis
+from testbed.reports.figure_spec import TIME_LABEL, samples_on_axis
 from testbed.reports.plot_selection import MAX_SINGLE, STYLES, WORST, decimate
 from testbed.reports.run_data import RunData
 from testbed.views.panels import DASHED, Line, Panel, PanelGrid
 
 COLUMN_IN = 3.5  # width of a column of a paper, inches
 PANEL_IN, AROUND_IN = 1.1, 0.35  # height of a panel; of the axis below, inches
-WIDTH_PT = 1.35  # of the curves, before they are scaled
+WIDTH_PT = 1.35  # of the curves, with text of 12 points
 
 
 def compared_followers(first: RunData, second: RunData) -> list[str]:
@@ -42,8 +42,7 @@ def compared_followers(first: RunData, second: RunData) -> list[str]:
 def compare_figure(first: RunData, second: RunData, labels: Sequence[str]) -> PanelGrid:
     """Draw the distance of each follower from its slot in both runs, one panel for each.
 
-    The axes show the time that both runs cover, and fit the errors after all followers joined. The
-    figure is that of a column when it is saved with `PAPER_SCALE`.
+    The axes show the time that both runs cover, and fit the errors after all followers joined.
 
     Args:
         first: drawn solid.
@@ -74,7 +73,7 @@ def compare_figure(first: RunData, second: RunData, labels: Sequence[str]) -> Pa
     limits = (0.0, 1.08 * highest or 1.0)  # the same for all, so that they can be compared
     panels = [replace(each, y_limits=limits) for each in panels]
     panels[-1] = replace(panels[-1], x_label=TIME_LABEL)
-    inches = COLUMN_IN / PAPER_SCALE, (PANEL_IN * len(panels) + AROUND_IN) / PAPER_SCALE
+    inches = COLUMN_IN, PANEL_IN * len(panels) + AROUND_IN
     return PanelGrid("", "", [[each] for each in panels], (1.0,), inches)
 
 

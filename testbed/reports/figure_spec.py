@@ -66,29 +66,25 @@ def make_figure(name: str, spec: FigureSpec, subtitle: str, note: str = "") -> F
     return Figure(name, spec.title, spec.caption + note, grid)
 
 
-PAPER_SCALE = 8.0 / 12.0  # of a figure for a paper: text of 8 points in place of 12
-MIN_PANEL_IN = 4.4  # width of a panel before it is scaled, below which panels stand in one column
-TITLES_IN = 0.8  # height of title and subtitle
+PAPER_TEXT_PT = 8.0  # of a figure for a paper
+MIN_PANEL_IN = 2.9  # width of a panel of it, below which panels stand in one column
+TITLES_IN = 0.8  # height of title and subtitle with text of 12 points
 
 
 def fit_width(grid: PanelGrid, width_in: float, *, titled: bool) -> PanelGrid:
-    """Return a figure of another width, inches, with its panels in one column where it is narrow.
+    """Return a figure for a paper, of a width in inches, with text of `PAPER_TEXT_PT`.
 
-    Rows keep their height; without a title the figure is lower.
+    Its panels are in one column where it is narrow. Without a title it is lower.
     """
-    count = len(grid.widths)
+    scale = PAPER_TEXT_PT / 12.0
     rows, widths = grid.rows, grid.widths
     height_in = grid.inches[1] - TITLES_IN
-    if count > 1 and width_in < count * MIN_PANEL_IN:
+    if len(widths) > 1 and width_in < len(widths) * MIN_PANEL_IN:
         rows = [[panel] for row in grid.rows for panel in row]
-        widths = (1.0,)
         height_in *= len(rows) / len(grid.rows)
-    return replace(
-        grid,
-        rows=rows,
-        widths=widths,
-        inches=(width_in, height_in + TITLES_IN * titled),
-    )
+        widths = (1.0,)
+    inches = width_in, scale * (height_in + TITLES_IN * titled)
+    return replace(grid, rows=rows, widths=widths, inches=inches)
 
 
 AXIS_IN = 10.0  # approximate length of the time axis, inches

@@ -18,7 +18,7 @@ from rich.table import Table
 from rich.text import Text
 
 from testbed.core.files import write_text_file
-from testbed.reports.figure_spec import PAPER_SCALE, Figure, fit_width
+from testbed.reports.figure_spec import PAPER_TEXT_PT, Figure, fit_width
 from testbed.views.panels import BLACK, GREY, GRID, ON_DARK, ON_WHITE, PATH
 
 STYLES = ("green", "red", "yellow", "dim", "bold")
@@ -298,11 +298,10 @@ def save_figures(
     paths = []
     for figure in figures:
         paths.append(folder / figure_file(figure, ending))
-        if width_in is None:
-            save_figure(figure.grid, paths[-1], titled=titled)
-        else:
-            grid = fit_width(figure.grid, width_in / PAPER_SCALE, titled=titled)
-            save_figure(grid, paths[-1], titled=titled, scale=PAPER_SCALE)
+        grid, text_pt = figure.grid, None
+        if width_in is not None:
+            grid, text_pt = fit_width(grid, width_in, titled=titled), PAPER_TEXT_PT
+        save_figure(grid, paths[-1], text_pt=text_pt, titled=titled)
     return paths
 
 

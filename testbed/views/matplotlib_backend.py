@@ -6,6 +6,7 @@ No display is needed and no global state is changed. The same grid gives the sam
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,8 @@ with needs_extra("report", "figures"):
     )
 
 DOTS_PER_INCH = 100  # of the layout
-PNG_DOTS_PER_INCH = 200
+PNG_DOTS_PER_INCH = 200  # with text of 12 points; more where it is smaller
+TEXT_PT = 12.0
 TITLES_IN, LEGEND_IN = 0.8, 0.35  # height of the titles and of a legend row, inches
 KEY_IN, LETTER_IN = 0.8, 0.095  # width of a legend key and of a letter, inches
 TITLE_PT, NAME_PT = 6.0, 12.5  # distance of a title, and height of a line of names of spans
@@ -50,7 +52,7 @@ UNDATED: dict[str, dict[str, Any]] = {
     ".svg": {"Date": None},
 }
 STYLE: dict[Any, Any] = {
-    "font.size": 12.0,
+    "font.size": TEXT_PT,
     "axes.titlesize": 13.0,
     "axes.titlelocation": "left",
     "axes.spines.top": False,
@@ -85,19 +87,26 @@ def _style(scale: float) -> dict[Any, Any]:
     return {key: each * scale if isinstance(each, float) else each for key, each in sizes.items()}
 
 
-def save_figure(grid: PanelGrid, path: Path, *, titled: bool = True, scale: float = 1.0) -> None:
-    """Write a figure as PNG (200 dots per inch at scale 1), PDF or SVG, by the suffix of the path.
+def save_figure(
+    grid: PanelGrid, path: Path, *, text_pt: float | None = None, titled: bool | None = None
+) -> None:
+    """Write a figure as PNG, PDF or SVG, by the suffix of the path.
 
     Args:
-        grid: the figure.
+        grid: to draw.
         path: of the file.
-        titled: draw title and subtitle.
-        scale: of the figure and all that is in it.
+        text_pt: for a paper: size of the text in points, by which all lines and marks are scaled,
+            too; None: as in reports, 12 points.
+        titled: draw title and subtitle; default: not for a paper.
 
     Raises:
         OSError: The file cannot be written.
     """
     ending = path.suffix.lower()
+    scale = 1.0 if text_pt is None else text_pt / TEXT_PT
+    titled = text_pt is None if titled is None else titled
+    width, height = grid.inches
+    grid = replace(grid, inches=(width / scale, height / scale))
     with matplotlib.rc_context(_style(scale)):
         figure = _figure(grid, titled=titled, scale=scale)
         with write_file(path) as file:

@@ -13,7 +13,6 @@ from testbed.core.errors import InputError
 from testbed.logs.read import read_log
 from testbed.metrics.observer import MetricsObserver
 from testbed.reports import compare_figure, read_run, run_labels
-from testbed.reports.figure_spec import PAPER_SCALE
 from testbed.scenario import dump, load_scenario
 from testbed.studies.compare_runs import MetricPair, compare_runs
 from testbed.views.viewer import rerun_program
@@ -81,16 +80,24 @@ def test_compare_last_bit_of_a_sample_is_found(log, tmp_path):
     assert [each.first_s for each in found.positions].count(None) == 3
 
 
+def off_slot(frame):
+    """A frame in which uav2 is 3 m farther from its slot."""
+    error = frame.formation.error_ned.copy()
+    error[1] *= 1.0 + 3.0 / np.linalg.norm(error[1])
+    return frame._replace(formation=frame.formation._replace(error_ned=error))
+
+
 def test_compare_figure_draws_both_errors(log, tmp_path):
-    other = run(tmp_path / "run", frames(moved_m=3.0))
+    other = run(tmp_path / "run", map(off_slot, frames()))
     first, second = read_run(log), read_run(other)
     grid = compare_figure(first, second, run_labels(first, second, ("a", "b")))
     assert [panels[0].title for panels in grid.rows] == ["uav1", "uav2", "uav3"]
-    assert grid.inches[0] * PAPER_SCALE == 3.5 and not grid.title
+    assert grid.inches[0] == 3.5 and not grid.title
     for name, (panel,) in zip(first.followers, grid.rows, strict=True):
         one, two = panel.lines
         assert (one.label, two.label, two.dashes) == ("a", "b", "--")  # of one scenario
-        assert np.array_equal(one.y, two.y) is (name != "uav2")
+        farther = 3.0 if name == "uav2" else 0.0
+        assert two.y == pytest.approx(one.y + farther, rel=1e-12)
         row = first.followers.index(name)
         assert np.array_equal(one.y, first.error[np.isin(first.log.time_s, one.x), row])
     assert len({panel.y_limits for (panel,) in grid.rows}) == 1

@@ -196,10 +196,11 @@ def test_figures_of_a_paper_have_its_width(made, tmp_path):
     (path,) = save_figures([figure], tmp_path, **options)
     text = path.read_text()
     assert f'width="{3.5 * 72:g}pt"' in text and "by case -->" not in text
-    narrow = fit_width(figure.grid, 5.25, titled=False)
-    assert [len(row) for row in narrow.rows] == [1, 1]
-    same = fit_width(figure.grid, 11.0, titled=True)
-    assert same.rows == figure.grid.rows and same.inches == pytest.approx(figure.grid.inches)
+    narrow = fit_width(figure.grid, 3.5, titled=False)
+    assert [len(row) for row in narrow.rows] == [1, 1] and narrow.inches[0] == 3.5
+    broad = fit_width(figure.grid, 7.0, titled=True)
+    assert broad.rows == figure.grid.rows
+    assert broad.inches == pytest.approx((7.0, figure.grid.inches[1] * 8 / 12))
     (wide,) = save_figures([figure], tmp_path / "wide", "svg")
     assert f'width="{11 * 72}pt"' in wide.read_text() and "by case -->" in wide.read_text()
 

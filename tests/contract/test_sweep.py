@@ -308,6 +308,11 @@ def test_sweep_failed_runs_are_rows_and_exit_1(workers, tmp_path):
         cwd=tmp_path, code=LOST, columns=100,
     )  # fmt: skip
     check_snapshot("sweep_failures", done.stdout.replace(str(tmp_path), "FOLDER"))
+    quiet = ("sweep", "bad.yaml", "--out", "q.parquet", "--quiet")
+    told = call_command(*quiet, cwd=tmp_path, code=LOST, columns=100)
+    lines = [line for line in told.stderr.splitlines() if line.startswith("warning: run ")]
+    kinds = [line.split(": ")[2] for line in lines]
+    assert kinds[-3:] == ["invalid", "lost", "failed"] and told.stdout == ""
     rows = {row["case"]: row for row in read_rows(tmp_path / "b.parquet")}
     assert {case: row["outcome"] for case, row in rows.items()} == {
         "good": "completed",
