@@ -22,7 +22,7 @@ TOOLS_STAMP := $(TOOLS)/.installed
 MAKEFLAGS += --no-print-directory
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test checks warm-sensors warm-flights lint types tests clients check-all train bench rates results margins arduplane netem fly docs release audit lock clean
+.PHONY: help setup run test checks warm-sensors warm-flights lint types tests clients check-all train bench rates results margins arduplane netem fly docs release audit newest lock clean
 
 help:
 	@sed -n 's/^# \{0,1\}//p' Makefile | sed -n '1,4p'
@@ -168,6 +168,11 @@ release: $(STAMP) $(TOOLS_STAMP)
 	@$(BIN)/python release/make_release.py $(ARGS)
 	@$(TOOLS)/bin/python release/valid.py dist/*.cdx.json
 
+# The newest JSBSim and Rerun in place of the pinned ones: tests of flight models and of the viewer.
+# ARGS="jsbsim==1.4" tries another release.
+newest: $(STAMP)
+	@$(BIN)/python release/newest.py $(ARGS)
+
 # Known vulnerabilities of all pinned packages, from PyPI's database; a package that cannot be looked up
 # is a failure. And unsafe constructs in the workflows.
 audit: $(TOOLS_STAMP)
@@ -200,14 +205,14 @@ clean:
 $(STAMP): requirements.lock pyproject.toml
 	@echo "install: the pinned packages into $(VENV); once, a minute or more" >&2
 	@set -e; \
-	fits='import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 14))'; \
+	fits='import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 15))'; \
 	if ! $(BIN)/python -c "$$fits" 2>/dev/null; then \
 		found=; \
-		for candidate in $(or $(PYTHON),python3 python3.13 python3.12 python3.11 python); do \
+		for candidate in $(or $(PYTHON),python3 python3.14 python3.13 python3.12 python3.11 python); do \
 			if "$$candidate" -c "$$fits" 2>/dev/null; then found="$$candidate"; break; fi; \
 		done; \
 		if [ -z "$$found" ]; then \
-			echo "No Python 3.11, 3.12 or 3.13 found: run make PYTHON=/path/to/python" >&2; exit 2; \
+			echo "No Python 3.11 to 3.14 found: run make PYTHON=/path/to/python" >&2; exit 2; \
 		fi; \
 		"$$found" -m venv --clear $(VENV) || { \
 			echo "$$found cannot make environments: on Debian, apt-get install python3-venv" >&2; \

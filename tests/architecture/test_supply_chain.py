@@ -4,7 +4,8 @@ import importlib
 import json
 import re
 import shutil
-from importlib.metadata import distribution, distributions
+import subprocess
+from importlib.metadata import distribution, distributions, version
 from pathlib import Path
 
 import pytest
@@ -133,6 +134,40 @@ def test_audit_runs_weekly_on_every_lock_file():
     (audit,) = re.findall(r"^audit:.*\n((?:\t.*\n)+)", makefile, re.M)
     assert "pip-audit --strict --require-hashes" in audit
     assert all(lock in audit for lock in LOCKS)
+
+
+def test_newest_releases_are_tried_weekly(release):
+    """No pull request waits for it, and the pinned environment stays as it is."""
+    workflow = yaml.safe_load((ROOT / ".github/workflows/weekly.yml").read_text(encoding="utf-8"))
+    assert set(workflow[True]) == {"schedule", "workflow_dispatch"}
+    (job,) = workflow["jobs"].values()
+    assert [step["run"] for step in job["steps"] if "run" in step] == ["make newest"]
+    newest = release("newest")
+    assert newest.INTO.is_relative_to(ROOT / "build")
+    assert all((ROOT / each).is_file() for each in newest.TESTS)
+
+
+def test_newest_release_runs_the_tests_first(release, monkeypatch, tmp_path):
+    newest, commands = release("newest"), []
+
+    def run(command, **options):
+        commands.append((command, options))
+        if "install" in command:
+            info = tmp_path / "jsbsim-9.9.dist-info"
+            info.mkdir(exist_ok=True)
+            (info / "METADATA").write_text(f"Name: jsbsim\nVersion: {found}\n")
+        return subprocess.CompletedProcess(command, 1)
+
+    monkeypatch.setattr(newest, "INTO", tmp_path)
+    monkeypatch.setattr(newest.shutil, "rmtree", lambda *_, **__: None)
+    monkeypatch.setattr(newest.subprocess, "run", run)
+    found = "9.9"
+    assert newest.main([]) == 1
+    (pip, _), (_, options) = commands
+    assert pip[-2:] == ["jsbsim", "rerun-sdk"] and str(tmp_path) in pip
+    assert options["env"]["PYTHONPATH"].startswith(str(tmp_path))
+    found = version("jsbsim")
+    assert newest.main(["jsbsim"]) == 0 and len(commands) == 3
 
 
 def test_release_pins_are_the_runtime_packages(release):
