@@ -1,5 +1,5 @@
 # Two commands, on a machine with Python and make:
-#   make run     fly the first minute of Simulation 3      (ARGS="--duration 1080" for all of it)
+#   make run     fly the first minute of Simulation 3 (ARGS="--duration 1080": all)
 #   make test    lint, types and tests
 # The first of them creates .venv from requirements.lock. PYTHON=/path/to/python picks another one.
 

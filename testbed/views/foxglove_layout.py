@@ -18,7 +18,7 @@ import numpy as np
 
 from testbed.core.records import RunInfo
 from testbed.views.foxglove_scene import FORMATION_FRAME, FRAMES, TOPICS, slot_frame
-from testbed.views.log_plots import Curve, Plots, aircraft_hex, tabs
+from testbed.views.log_plots import Curve, Plots, fleet_hex, tabs
 
 _AXIS_SPANS = 0.5  # length of the axes of an aircraft, in wingspans
 _SQUARE = 100.0  # m, of the ground grid
@@ -75,7 +75,10 @@ def foxglove_layout(info: RunInfo) -> str:
         tab_panels.append({"title": title, "layout": _stack(ids)})
     panels["map!fixes"] = {
         "layer": "map",
-        "topicColors": {f"/{name}/fix": aircraft_hex(k) for k, name in enumerate(info.names)},
+        "topicColors": {
+            f"/{name}/fix": colour
+            for name, colour in zip(info.names, fleet_hex(len(info.names)), strict=True)
+        },
         "followTopic": f"/{leader}/fix",
     }
     tab_panels.append({"title": "map", "layout": "map!fixes"})

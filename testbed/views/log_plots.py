@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from testbed.core.identifiers import identifiers
 from testbed.logs.messages import COMMAND, ESTIMATE, QUANTITIES, Quantity
 from testbed.views.quantities import PLOTTED, PlottedQuantity
-from testbed.views.scene import aircraft_colour
+from testbed.views.scene import fleet_colours
 
 _LEADER = "#808080"  # grey is visible on white and on black
 
@@ -65,6 +65,7 @@ def _desired_word(quantity: PlottedQuantity) -> str:
 
 def _curves(names: Sequence[str], actual: Quantity, quantity: PlottedQuantity) -> list[Curve]:
     curves, desired = [], QUANTITIES.get(quantity.desired)
+    colours = fleet_hex(len(names))
     for number, name in enumerate(names):
         for each in filter(None, (actual, desired)):
             if number or not each.followers_only:
@@ -74,15 +75,14 @@ def _curves(names: Sequence[str], actual: Quantity, quantity: PlottedQuantity) -
                         field=each.field,
                         about=identifiers(names)[0] if each.per_aircraft else None,
                         label=f"{name}, {_desired_word(quantity)}" if each is desired else name,
-                        colour=aircraft_hex(number),
+                        colour=colours[number],
                         dashed=each is desired,
                     )
                 )
     return curves
 
 
-def aircraft_hex(number: int) -> str:
-    """Return the colour of an aircraft, 0 being the leader, as #rrggbb."""
-    if number == 0:
-        return _LEADER
-    return "#{:02x}{:02x}{:02x}".format(*aircraft_colour(number))
+def fleet_hex(count: int) -> list[str]:
+    """Return the colours of a leader and its followers as #rrggbb."""
+    followers = fleet_colours(count)[1:]
+    return [_LEADER, *("#{:02x}{:02x}{:02x}".format(*each) for each in followers)]

@@ -134,15 +134,10 @@ def overlay_scenes(first: Scene, second: Scene, labels: tuple[str, str]) -> Scen
     )
 
 
-def aircraft_colour(index: int) -> Colour:
-    """Choose the colour of an aircraft; index 0 is the leader. Repeats after twenty followers."""
-    return LEADER if index == 0 else FOLLOWERS[(index - 1) % len(FOLLOWERS)]
-
-
 def fleet_colours(count: int) -> tuple[Colour, ...]:
     """Choose the colours of a leader and its followers; of a large formation one scale by order."""
     if count <= MAX_SINGLE:
-        return tuple(aircraft_colour(k) for k in range(count))
+        return LEADER, *FOLLOWERS[: count - 1]
     shares = np.linspace(0.0, 1.0, count - 1).tolist()
     return LEADER, *(mix(*RAMP, share) for share in shares)
 

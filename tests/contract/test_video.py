@@ -17,6 +17,7 @@ from testbed.cli.video import choose_frames
 from testbed.core.errors import InputError
 from testbed.views.annotations import LOST, Canvas
 from testbed.views.cameras import BEHIND, FormationCameras
+from testbed.views.flight_map import FlightMap
 from testbed.views.landscape import eye_of, grid_lines, grid_step
 from testbed.views.pillow_backend import FINER, Drawing, mp4_from_avif, save_video
 from testbed.views.recorded_runs import scene_and_batch
@@ -183,6 +184,29 @@ def test_only_recent_losses_are_red(lost_at, red):
     sent[lost_at:, 0, 0] = 1.0
     video = FlightVideo(scene, dataclasses.replace(batch, sent=sent), np.array([150]), (960, 540))
     assert (video._lines.colours == LOST).all(axis=-1).any() == red
+
+
+@pytest.mark.parametrize("path", [True, False], ids=["commanded path", "no path"])
+def test_map_shows_where_and_how_high_aircraft_are(path):
+    scene, batch = scene_and_batch(views_flight.log(4, 20.0))
+    if not path:
+        scene = dataclasses.replace(scene, paths=())
+    lost = dataclasses.replace(batch, lost=np.ones_like(batch.lost))
+    joined = []
+    for each in (batch, lost):
+        flight = FlightMap(scene, each, np.array([450]), Canvas(400.0, 300.0))
+        picture = np.asarray(flight.draw(0).finish()).astype(int)
+        at = each.position[450, 0]
+        pixels, _ = flight._view.pixels(0, np.stack([at, at * [1.0, 1.0, 0.0]]))
+        assert pixels[1, 1] > pixels[0, 1] + 10.0, "the ground is below"
+        x, y = pixels[0].round().astype(int)
+        colour = LOST if each is lost else scene.colours[0]
+        assert np.abs(picture[y, x] - colour).max() < 40
+        share = np.linspace(0.3, 0.7, 20)[:, None]
+        x, y = ((1.0 - share) * pixels[0] + share * pixels[1]).round().astype(int).T
+        near = [picture[y, x + aside].max(axis=-1) for aside in (-1, 0, 1)]
+        joined.append((np.max(near, axis=0) > 80).mean())
+    assert joined[0] == 1.0 and joined[1] < 0.8, "a line joins aircraft in flight with the ground"
 
 
 def test_short_length_has_three_or_four_digits():
