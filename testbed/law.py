@@ -49,7 +49,7 @@ Vectors are north, east, down (NED) from the scenario's origin; angles in rad, r
 - `position_ned`, `velocity_ned`, `acceleration_ned` (n, N, 3): as above. `euler`, `euler_rates`
   (n, N, 3): roll, pitch, yaw, and their derivatives.
 
-Commands; a number stands for all rows:
+Commands; each array has one row per follower, and one number is no array:
 
 - `UnicycleCommand`, the inputs of the extended unicycle, [HBH23] (2) and (3). The middle loop turns
   it into pitch, roll and throttle; `vehicle: unicycle` flies it directly.
@@ -58,7 +58,8 @@ Commands; a number stands for all rows:
   right, down: (0, pitch rate, yaw rate).
   `speed_desired` (n,) m/s: s_d, and `direction` (n, 3): y_d, a unit vector in NED; desired motion
   for the middle loop and the log.
-  `limiter_flags` (n,): bit set of `LimiterFlag`, which limits acted; 0 for none.
+  `limiter_flags` (n,): bit set of `LimiterFlag`, which limits acted; 0 for none, also as one
+  number for all.
   `command_from_velocity(config, own, velocity_ned)` makes one from desired velocities.
 - `FbwaCommand`, what ArduPlane's mode FBWA takes from the sticks: `pitch` (n,) rad, nose up
   positive; `roll` (n,) rad, right wing down positive; `throttle` (n,), 0 to 1.

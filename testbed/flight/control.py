@@ -328,9 +328,12 @@ def user_code_errors(file: str, what: str = "the law") -> Iterator[None]:
         frames = traceback.extract_tb(error.__traceback__)
         lines = [frame.lineno for frame in frames if frame.filename == file]
         location = f"{file}:{lines[-1]}" if lines else file
+        notes = "".join(f"; {note}" for note in getattr(error, "__notes__", ()))
         if isinstance(error, MemoryError):  # of this machine; what asks for too much has a place
             raise MemoryError(f"{location}: {what}: {describe_error(error)}") from error
-        raise InputError(f"{location}: {what} raised {type(error).__name__}: {error}") from error
+        raise InputError(
+            f"{location}: {what} raised {type(error).__name__}: {error}{notes}"
+        ) from error
 
 
 def law_name(law: object) -> str:
@@ -372,14 +375,18 @@ def validate_command(
         shape = (n, 3) if name in ("omega", "direction") else (n,)
         kind = np.uint8 if name == "limiter_flags" else np.float64
         try:
-            array = np.ascontiguousarray(np.broadcast_to(np.asarray(value, dtype=kind), shape))
+            given = np.asarray(value, dtype=kind)
         except (TypeError, ValueError, OverflowError):
-            array = None
-        if array is None:
+            given = None
+        # flags may be one number, such as 0; else one number for all followers is a mistake
+        if given is None or (given.shape != shape and (given.ndim or name != "limiter_flags")):
+            what = "is no number" if given is None else f"has shape {given.shape}"
+            what = "is one number" if given is not None and not given.ndim else what
             raise InputError(
-                f"controller.law: the law's {name} is not an array of shape {shape} at {now:g} s "
-                f"(one row for each of {', '.join(config.names)})"
+                f"controller.law: the law's {name} {what} at {now:g} s (write an array of shape "
+                f"{shape}, a row for each of {', '.join(config.names)})"
             )
+        array = np.ascontiguousarray(np.broadcast_to(given, shape))
         wrong = np.flatnonzero(~np.isfinite(array).reshape(n, -1).all(axis=1))
         if len(wrong):
             raise InputError(

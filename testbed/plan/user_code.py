@@ -13,6 +13,7 @@ import site
 import sys
 import sysconfig
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from importlib.metadata import distributions
 from pathlib import Path
@@ -75,9 +76,7 @@ def build_law(
                 "place of its decorator)"
             )
         if not isinstance(found, type):
-            laws = [
-                n for n, each in vars(module).items() if inspect.isclass(each) or is_kernel(each)
-            ]
+            laws = [n for n, each in vars(module).items() if _is_law_of(module, each)]
             raise InputError(
                 f"controller.law: {origin} has no class {law_name!r}, and no function of this name "
                 f"under @testbed.kernel (it has {', '.join(laws) or 'none'})"
@@ -92,6 +91,13 @@ def build_law(
         _check_options(law_name, found, (config,), options)
         make = cast(Callable[..., Law], found)
         return make(config, **options), described
+
+
+def _is_law_of(module: ModuleType, found: object) -> bool:
+    """Return whether a value is a class or kernel that a module does not import."""
+    kernel = is_kernel(found)
+    made = python_function(found) if kernel else found
+    return (kernel or inspect.isclass(made)) and getattr(made, "__module__", "") == module.__name__
 
 
 def _check_options(
@@ -432,18 +438,19 @@ def _fly(law: Law, config: FormationConfig, flight: list[Step]) -> list[Command]
     memory = law.start(_read_only(flight[0][1]))
     for now, own, inbox in flight:
         before = copy.deepcopy(memory)
-        try:
-            result = law.step(now, _read_only(own), _read_only(inbox), memory)
-        except ValueError as error:
-            if "read-only" not in str(error):
-                raise
-            _reject(law, f"writes into its inputs ({error}; make a copy)")
-        if not (isinstance(result, tuple) and len(result) == 2):
-            _reject(law, "must return two values from step: the command and the memory")
-        command, after = result
-        modified = _pickled(memory) != _pickled(before)
-        again = law.step(now, _read_only(own), _read_only(inbox), before)[0]
-        command = validate_command(command, config, now)
+        with _naming_missing_messages(config, inbox):
+            try:
+                result = law.step(now, _read_only(own), _read_only(inbox), memory)
+            except ValueError as error:
+                if "read-only" not in str(error):
+                    raise
+                _reject(law, f"writes into its inputs ({error}; make a copy)")
+            if not (isinstance(result, tuple) and len(result) == 2):
+                _reject(law, "must return two values from step: the command and the memory")
+            command, after = result
+            modified = _pickled(memory) != _pickled(before)
+            again = law.step(now, _read_only(own), _read_only(inbox), before)[0]
+            command = validate_command(command, config, now)
         if modified or not _same([command], [validate_command(again, config, now)]):
             _reject(
                 law,
@@ -453,6 +460,33 @@ def _fly(law: Law, config: FormationConfig, flight: list[Step]) -> list[Command]
         commands.append(command)
         memory = after
     return commands
+
+
+@contextmanager
+def _naming_missing_messages(config: FormationConfig, inbox: Inbox) -> Iterator[None]:
+    """Add to the errors of a step which followers lacked messages.
+
+    Raises:
+        InputError: in place of one that is raised in the block.
+    """
+    missing = np.isnan(inbox.stamp_s)
+    of_leader = missing[:, 0].any()
+    rows = np.flatnonzero(missing[:, 0] if of_leader else missing.any(axis=1))
+    note = ""
+    if rows.size:
+        what = "messages of the leader" if of_leader else "messages"
+        names = ", ".join(config.names[row] for row in rows)
+        note = (
+            f"in this trial {what} had not arrived at {names} (NaN in the inbox), others were old"
+        )
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{error}; {note}" if note else str(error)) from error
+    except Exception as error:
+        if note:
+            error.add_note(note)
+        raise
 
 
 def _check_locality(

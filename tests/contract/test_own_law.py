@@ -49,6 +49,7 @@ GOOD = """
 
         def step(self, now, own, inbox, memory):
             n, roll = len(own.airspeed), self.roll
+            ones, zeros, ahead = np.ones(n), np.zeros((n, 3)), np.tile([1.0, 0, 0], (n, 1))
             BODY
             return FbwaCommand(np.zeros(n), np.full(n, roll), np.full(n, 0.3)), memory
 """
@@ -224,7 +225,8 @@ def test_law_missing_module_or_class_has_a_remedy(tmp_path):
         write(tmp_path, law="nowhere:Straight")
     )
     error = build_error(write(tmp_path, law="mine:Curved"))
-    assert "has no class 'Curved', and no function of this name under @testbed.kernel (it" in error
+    assert "has no class 'Curved', and no function of this name under @testbed.kernel" in error
+    assert error.endswith("(it has Straight)")
     with pytest.raises(InputError, match=r"there is no file .*gone\.py"):
         load_scenario(write(tmp_path, law="gone.py:Straight"))
     with pytest.raises(InputError, match="must be hbh23, or module:Class"):
@@ -257,10 +259,14 @@ VIOLATIONS = (
     "memory += 1.0",
     "roll = float(own.position_ned[:, 0].mean()) * 1e-3",
     "roll = float(np.nan_to_num(inbox.velocity_ned[2, 0, 1])) * 1e-3",
-    "return UnicycleCommand(20.0, 0.0, 20.0, 0.5, 0), memory",
-    "return UnicycleCommand(22.0, [0.1, 0.0, 0.2], 22.0, [1.0, 0.0, 0.0], 0), memory",
-    "return UnicycleCommand(3.6 * own.airspeed, 0.0, 22.0, [1.0, 0.0, 0.0], 0), memory",
-    "return UnicycleCommand(22.0, 0.0, own.airspeed / 3.6, [1.0, 0.0, 0.0], 0), memory",
+    "return FbwaCommand(0.0, 0.0, 0.3), memory",
+    "return FbwaCommand(np.zeros(n), roll * ones, np.array('fast')), memory",
+    "return UnicycleCommand(20.0 * ones, zeros, 20.0 * ones, 0.5 + zeros, 0), memory",
+    "return UnicycleCommand(22.0 * ones, zeros + [0.1, 0.0, 0.2], 22.0 * ones, ahead, 0), memory",
+    "return UnicycleCommand(3.6 * own.airspeed, zeros, 22.0 * ones, ahead, 0), memory",
+    "return UnicycleCommand(22.0 * ones, zeros, own.airspeed / 3.6, ahead, 0), memory",
+    "roll = np.where(np.isnan(inbox.stamp_s[:, 0]), np.nan, 0.0)",
+    "assert not np.isnan(inbox.stamp_s[:, 1:]).any()",
     "return FbwaCommand(np.zeros(n), np.full(n, 12.0), np.full(n, 0.3)), memory",
     # state on self that two calls at one time do not show
     "self.last = own.velocity_ned.copy()",
