@@ -11,10 +11,17 @@ import typer
 from rich.table import Table
 
 from testbed.cli.exit_codes import ExitCode
-from testbed.cli.options import JsonFile, RrdFile, RunName
-from testbed.cli.output import MISSING, PipeSafeConsole, result_console, write_json_output
+from testbed.cli.options import JsonFile, RrdFile, RunName, output_option
+from testbed.cli.output import (
+    MISSING,
+    PipeSafeConsole,
+    describe_file,
+    result_console,
+    write_json_output,
+)
 from testbed.cli.view import overlay_runs
 from testbed.core.errors import InputError
+from testbed.core.files import report_write_errors
 
 if TYPE_CHECKING:
     from testbed.logs.read import RunLog
@@ -41,11 +48,23 @@ def compare_command(
             "are then not compared.  \\[default: every bit must be equal]",
         ),
     ] = None,
+    figure: Annotated[
+        Path | None,
+        output_option(
+            metavar="FILE",
+            help="Draw the distances from the slots in both runs for a column of a paper: .pdf, "
+            ".svg or .png.",
+            suffixes=(".pdf", ".svg", ".png"),
+        ),
+    ] = None,
     json: JsonFile = None,
     rrd: RrdFile = None,
 ) -> None:
-    """Overlay two runs in a Rerun viewer, or compare their metrics, events and samples."""
-    check_options(numbers=numbers, within=within, json=json, rrd=rrd)
+    """Overlay two runs in a Rerun viewer, draw their errors, or compare all their numbers."""
+    check_options(numbers=numbers, within=within, json=json, rrd=rrd, figure=figure)
+    if figure:
+        _draw(figure, (first, second))
+        return
     if not numbers:
         overlay_runs(first, second, rrd=rrd)
         return
@@ -61,13 +80,20 @@ def compare_command(
 
 
 def check_options(
-    *, numbers: bool, within: float | None, json: Path | None, rrd: Path | None
+    *,
+    numbers: bool,
+    within: float | None,
+    json: Path | None,
+    rrd: Path | None,
+    figure: Path | None,
 ) -> None:
     """Refuse options that exclude each other.
 
     Raises:
         InputError: naming them.
     """
+    if figure and (numbers or rrd):
+        raise InputError(f"--figure {figure}: leave out {'--numbers' if numbers else '--rrd'}")
     if numbers and rrd:
         raise InputError(f"--rrd {rrd}: is for the overlay; leave out --numbers")
     if not numbers and (within is not None or json):
@@ -75,6 +101,28 @@ def check_options(
         raise InputError(f"{option}: is for the comparison of metrics; write --numbers too")
     if within is not None and not 0.0 <= within < 1.0:
         raise InputError(f"--within {within:g}: write a share from 0 to 1, such as 0.01 for 1 %")
+
+
+def _draw(path: Path, names: Sequence[str]) -> None:
+    """Draw the errors of two runs, and print the file and the labels.
+
+    Raises:
+        InputError: there is no such run, the runs have nothing in common, or the file cannot be
+            written.
+    """
+    from testbed.reports import compare_figure, read_run, run_labels
+    from testbed.reports.figure_compare import TEXT_PT
+    from testbed.views.matplotlib_backend import save_figure
+
+    first, second = (read_run(name) for name in names)
+    labels = run_labels(first, second, names)
+    grid = compare_figure(first, second, labels)
+    with report_write_errors(f"--figure {path}"):
+        save_figure(grid, path, text_pt=TEXT_PT)
+    console = result_console()
+    for label, run, style in zip(labels, (first, second), ("solid", "dashed"), strict=True):
+        console.write_line(f" {style:10}{label}: {run.path}")
+    console.write_line(f" {'figure':10}{describe_file(path)}")
 
 
 def _read(path: Path) -> RunLog:

@@ -32,7 +32,8 @@ with needs_extra("report", "figures"):
     from mpl_toolkits.mplot3d import Axes3D
 
 DOTS_PER_INCH = 100  # of the layout
-PNG_DOTS_PER_INCH = 200
+PNG_DOTS_PER_INCH, PRINT_DOTS_PER_INCH = 200, 400
+TEXT_PT = 12.0
 TITLES_IN, LEGEND_IN = 0.8, 0.35  # height of the titles and of a legend row, inches
 KEY_IN, LETTER_IN = 0.8, 0.095  # width of a legend key and of a letter, inches
 TITLE_PT, NAME_PT = 6.0, 12.5  # distance of a title, and height of a line of names of spans
@@ -52,7 +53,7 @@ UNDATED: dict[str, dict[str, Any]] = {
     ".svg": {"Date": None},
 }
 STYLE: dict[Any, Any] = {
-    "font.size": 12.0,
+    "font.size": TEXT_PT,
     "axes.titlesize": 13.0,
     "axes.titlelocation": "left",
     "axes.spines.top": False,
@@ -68,19 +69,30 @@ STYLE: dict[Any, Any] = {
 }
 
 
-def save_figure(grid: PanelGrid, path: Path) -> None:
-    """Write a figure as PNG (200 dots per inch), PDF or SVG, by the suffix of the path.
+def save_figure(grid: PanelGrid, path: Path, *, text_pt: float | None = None) -> None:
+    """Write a figure as PNG, PDF or SVG, by the suffix of the path.
+
+    Args:
+        grid: to draw.
+        path: of the file.
+        text_pt: for a paper: without titles, and with text of this size in points.
 
     Raises:
         OSError: The file cannot be written.
     """
     ending = path.suffix.lower()
-    with matplotlib.rc_context(STYLE):
-        figure = _figure(grid, titled=True)
+    print_style: dict[Any, Any] = {}
+    if text_pt is not None:
+        names = ("font.size", "axes.titlesize", "legend.fontsize")
+        print_style = {**dict.fromkeys(names, text_pt), "grid.linewidth": 0.4}
+        print_style |= dict.fromkeys(
+            ("axes.linewidth", "xtick.major.width", "ytick.major.width"), 0.5
+        )
+    dots = PNG_DOTS_PER_INCH if text_pt is None else PRINT_DOTS_PER_INCH
+    with matplotlib.rc_context({**STYLE, **print_style}):
+        figure = _figure(grid, titled=text_pt is None, scale=(text_pt or TEXT_PT) / TEXT_PT)
         with write_file(path) as file:
-            figure.savefig(
-                file, format=ending[1:], dpi=PNG_DOTS_PER_INCH, metadata=UNDATED[ending]
-            )  # fmt: skip
+            figure.savefig(file, format=ending[1:], dpi=dots, metadata=UNDATED[ending])
 
 
 def figure_svg(grid: PanelGrid) -> str:
@@ -108,7 +120,9 @@ class _RoundedLayout(ConstrainedLayoutEngine):
         return grids
 
 
-def _figure(content: PanelGrid, *, titled: bool) -> Figure:
+def _figure(content: PanelGrid, *, titled: bool, scale: float = 1.0) -> Figure:
+    """Draw a grid of panels; `scale` is of its text, which needs the space."""
+    legend_in = LEGEND_IN * scale
     width, height = content.inches
     layout = _RoundedLayout(wspace=0.04, hspace=0.06)
     figure = Figure(figsize=content.inches, dpi=DOTS_PER_INCH, layout=layout)
@@ -126,16 +140,16 @@ def _figure(content: PanelGrid, *, titled: bool) -> Figure:
             for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
                 named.setdefault(label, handle)
     longest = max(map(len, named), default=0)
-    abreast = max(int(width / (KEY_IN + LETTER_IN * longest)), 1)
+    abreast = max(int(width / (scale * (KEY_IN + LETTER_IN * longest))), 1)
     rows = -(-len(named) // abreast)
-    height += max(rows - 1, 0) * LEGEND_IN  # a long legend makes no panel flatter
+    height += max(rows - 1, 0) * legend_in  # a long legend makes no panel flatter
     figure.set_size_inches(width, height)
     if titled:
         figure.text(0.012, 1.0 - 0.32 / height, content.title, size=17, weight="bold", va="center")
         below = 1.0 - 0.63 / height
         figure.text(0.012, below, content.subtitle, size=12.5, va="center", color="#404040")
     top = TITLES_IN / height if titled else 0.0
-    bottom = rows * LEGEND_IN / height
+    bottom = rows * legend_in / height
     layout.set(rect=(0.0, bottom, 1.0, 1.0 - bottom - top))
     if named:
         figure.legend(

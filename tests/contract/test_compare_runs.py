@@ -9,8 +9,10 @@ from commands import call_command, refuse_all
 from record_flight import event, record, run_info, run_samples
 from snapshot import check_snapshot
 
+from testbed.core.errors import InputError
 from testbed.logs.read import read_log
-from testbed.metrics import MetricsObserver
+from testbed.metrics.observer import MetricsObserver
+from testbed.reports import compare_figure, read_run, run_labels
 from testbed.scenario import dump, load_scenario
 from testbed.studies.compare_runs import MetricPair, compare_runs
 from testbed.views.viewer import rerun_program
@@ -76,6 +78,50 @@ def test_compare_last_bit_of_a_sample_is_found(log, tmp_path):
     assert not found.same
     assert {each.name: each.first_s for each in found.positions}["uav2"] == TIME_S
     assert [each.first_s for each in found.positions].count(None) == 3
+
+
+def off_slot(frame):
+    """A frame in which uav2 is 3 m farther from its slot."""
+    error = frame.formation.error_ned.copy()
+    error[1] *= 1.0 + 3.0 / np.linalg.norm(error[1])
+    return frame._replace(formation=frame.formation._replace(error_ned=error))
+
+
+def test_compare_figure_draws_both_errors(log, tmp_path):
+    other = run(tmp_path / "run", map(off_slot, frames()))
+    first, second = read_run(log), read_run(other)
+    grid = compare_figure(first, second, run_labels(first, second, ("a", "b")))
+    assert [panels[0].title for panels in grid.rows] == ["uav1", "uav2", "uav3"]
+    assert grid.inches[0] == 3.5 and not grid.title
+    for name, (panel,) in zip(first.followers, grid.rows, strict=True):
+        one, two = panel.lines
+        assert (one.label, two.label, two.dashes) == ("a", "b", "--")  # of one scenario
+        farther = 3.0 if name == "uav2" else 0.0
+        assert two.y == pytest.approx(one.y + farther, rel=1e-12)
+        row = first.followers.index(name)
+        assert np.array_equal(one.y, first.error[np.isin(first.log.time_s, one.x), row])
+    assert len({panel.y_limits for (panel,) in grid.rows}) == 1
+
+
+@pytest.mark.parametrize("ending", ["pdf", "svg", "png"])
+def test_compare_figure_is_written(log, tmp_path, ending):
+    file = tmp_path / f"a.{ending}"
+    done = call_command(
+        "compare", log, log, "--figure", file, cwd=tmp_path, code=0, columns=200
+    ).stdout
+    assert [line.split()[0] for line in done.splitlines()] == ["solid", "dashed", "figure"]
+    written = file.read_bytes()
+    starts = {"pdf": b"%PDF", "svg": b"<?xml", "png": b"\x89PNG"}
+    assert written.startswith(starts[ending])
+    if ending == "svg":
+        assert b'width="252pt"' in written  # a column of 3.5 inches
+
+
+def test_compare_figure_needs_common_time(log, tmp_path):
+    late = run(tmp_path / "run", list(frames())[100:])
+    early = run(tmp_path / "early", list(frames())[:90])
+    with pytest.raises(InputError, match="have no time in common"):
+        compare_figure(read_run(early), read_run(late), ("a", "b"))
 
 
 def test_compare_largest_distance_and_its_time(log, tmp_path):
