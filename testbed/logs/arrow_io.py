@@ -120,17 +120,21 @@ def read_columns(
         metadata = {key.decode(): text.decode() for key, text in (schema.metadata or {}).items()}
         wanted = schema.names if names is None else [n for n in schema.names if n in set(names)]
         _refuse_size(file, len(wanted))
-        table = file.read(columns=wanted)
+        table = file.read(columns=wanted, use_threads=False)
         columns = {name: table[name].to_numpy(zero_copy_only=False) for name in wanted}
     return columns, metadata
 
 
 @contextmanager
 def _reading(path: Path) -> Iterator[Any]:
-    """Open a Parquet file; all errors in it are errors of the input."""
+    """Open a Parquet file; all errors in it are errors of the input.
+
+    It is read without threads, which would still be there when the program ends, and can abort it.
+    """
+    checked = {"page_checksum_verification": True, "pre_buffer": False}  # that one has threads
     with open_regular(path, MAX_PARQUET_BYTES) as stream:
         try:
-            with parquet.ParquetFile(stream, page_checksum_verification=True) as file:
+            with parquet.ParquetFile(stream, **checked) as file:
                 yield file
         except MemoryError as error:  # also of a size that a damaged page claims
             reason = str(error) or "an allocation failed"
