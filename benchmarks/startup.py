@@ -21,10 +21,10 @@ from pathlib import Path
 
 # Bytecode is kept, as from the second start on.
 ENVIRONMENT = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
-# The progress bar is created before the flight and gets its first sample before the second tick.
+# The observer that reports progress gets its first sample before the second tick.
 TO_FIRST_TICK = """
 import os, sys
-import testbed.cli.progress
+import testbed.runs.run
 from testbed.cli.entry import main
 
 class FirstTick:
@@ -34,7 +34,7 @@ class FirstTick:
     def observe(self, sample): os._exit(0)
     def end(self, *args): pass
 
-testbed.cli.progress.ProgressBar = FirstTick
+testbed.runs.run.FlightProgress = FirstTick
 sys.argv = ["testbed", "run", {scenario!r}, "--out", "run"]
 main()
 sys.exit("the run ended without a tick")

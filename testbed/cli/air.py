@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import typer
 from rich.table import Table
 from rich.text import Text
 
@@ -19,6 +20,7 @@ from testbed.cli.options import (
     load_scenario,
     output_option,
     positive_option,
+    read_time,
 )
 from testbed.cli.output import (
     MISSING,
@@ -54,7 +56,9 @@ def air_command(
         ),
     ] = None,
     rate: Annotated[float, positive_option("HZ", "Samples per second.")] = 50.0,
-    duration: Annotated[float, positive_option("SECONDS", "Length of the flight.")] = 600.0,
+    duration: Annotated[
+        str, typer.Option(metavar="TIME", help="Length of the flight: 600, 90s or 10m.")
+    ] = "600",
     airspeed: Annotated[
         float | None,
         positive_option("M/S", "True airspeed.  \\[default: that of the leader's mission, or 20]"),
@@ -94,9 +98,10 @@ def air_command(
     """
     from testbed.trials.probes import fly_probes, to_arrays
 
-    _check_samples(rate * duration, probes=1 if separation is None else 2, plot=plot is not None)
+    duration_s = read_time("--duration", duration)
+    _check_samples(rate * duration_s, probes=1 if separation is None else 2, plot=plot is not None)
     loaded = load_scenario(scenario, overrides, seed)
-    path = _probe_path(loaded, rate, duration, airspeed, course, height, separation)
+    path = _probe_path(loaded, rate, duration_s, airspeed, course, height, separation)
     record = fly_probes(loaded, path)
     document = _document(loaded, path, record)
     if out:
@@ -132,7 +137,7 @@ def _check_samples(samples: float, *, probes: int, plot: bool) -> None:
 def _probe_path(
     scenario: Scenario,
     rate: float,
-    duration: float,
+    duration_s: float,
     airspeed: float | None,
     course: float,
     height: float | None,
@@ -150,7 +155,7 @@ def _probe_path(
             raise InputError(f"the leader starts {height:g} m above the ground: write a --height")
     return ProbePath(
         rate_hz=rate,
-        duration_s=duration,
+        duration_s=duration_s,
         airspeed=airspeed,
         course=math.radians(course),
         height=height,

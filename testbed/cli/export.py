@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
@@ -130,17 +131,18 @@ def export_command(
 
 
 def _write_scene_log(flight: FlightData, path: Path) -> None:
-    from testbed.cli.progress import ProgressBar
     from testbed.core.files import replacement, report_write_errors
+    from testbed.runs.progress import FlightProgress, make_display
     from testbed.views.foxglove_scene import write_scene_log
 
     target = Path("/dev/stdout") if is_stdout(path) else path
-    bar = ProgressBar(message_console())
-    with report_write_errors(f"--out {path}"), replacement(target) as new:
-        try:
-            write_scene_log(flight.log, new, [bar])
-        finally:
-            bar.end({}, ())
+    display = make_display(flight.info.scenario_name, message_console())
+    with (
+        closing(display),
+        report_write_errors(f"--out {path}"),
+        replacement(target) as new,
+    ):
+        write_scene_log(flight.log, new, [FlightProgress(display)])
 
 
 def _write_bag(flight: FlightData, path: Path) -> None:

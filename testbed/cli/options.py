@@ -17,7 +17,7 @@ import typer
 
 from testbed.cli.output import check_output_path
 from testbed.core.errors import ExternalProgramLost, InputError
-from testbed.core.numbers import SMALLEST
+from testbed.core.numbers import SMALLEST, TIME_UNITS, parse_number, parse_quantity
 
 if TYPE_CHECKING:
     from testbed.scenario import Scenario
@@ -88,6 +88,7 @@ def _has_keys(schema: Mapping[str, Any]) -> bool:
     return any(word in schema for word in ("$ref", "properties", "anyOf", "oneOf", "allOf"))
 
 
+MAX_SHOWN = 40  # characters of a value that an error repeats
 _MAX_COUNT = 1_000_000  # of flights, processes and other things that are counted
 
 
@@ -135,6 +136,23 @@ def finite_option(metavar: str, help: str, *names: str) -> Any:  # noqa: ANN401 
 def positive_option(metavar: str, help: str, *names: str) -> Any:  # noqa: ANN401 - typer's own
     """Declare an option for a number above 0; without names it has that of the parameter."""
     return typer.Option(*names, metavar=metavar, help=help, callback=require_positive)
+
+
+def read_time(option: str, text: str) -> float:
+    """Return a time above 0, s, from the text of an option: 120, 120s, 2m or 1.5h.
+
+    Raises:
+        InputError: it is none.
+    """
+    number = parse_number(text.strip())
+    value = parse_quantity(text.strip(), TIME_UNITS) if number is None else number
+    shown = text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}…"
+    if value is None:
+        raise InputError(f"{option} {shown}: write a time such as 120, 120s, 2m or 1.5h")
+    if value < SMALLEST:
+        bound = "above 0" if value <= 0 else f"of at least {SMALLEST:g} s"
+        raise InputError(f"{option} {shown}: write a time {bound}")
+    return value
 
 
 def output_option(

@@ -186,9 +186,9 @@ def write_json_output(path: Path | None, document: Mapping[str, Any]) -> None:
     Raises:
         InputError: the file cannot be written.
     """
-    from testbed.metrics.document import to_json
-
     if path is not None:
+        from testbed.metrics.document import to_json
+
         # a surrogate, as in the name of a file that is not UTF-8, becomes JSON's own escape of it
         data = to_json(document).encode("utf-8", "backslashreplace")
         with open_output(path, "--json") as file:

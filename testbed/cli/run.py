@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -25,6 +26,7 @@ from testbed.cli.options import (
     load_scenario,
     output_option,
     positive_option,
+    read_time,
 )
 from testbed.cli.output import format_size, message_console, result_console, write_json_output
 from testbed.cli.view import (
@@ -42,6 +44,7 @@ if TYPE_CHECKING:
 
     from testbed.core.records import Observer
     from testbed.runs.external_options import ExternalOptions
+    from testbed.runs.progress import Progress
     from testbed.scenario import Scenario
 
 _EXTERNAL = "External programs"
@@ -63,7 +66,10 @@ def run_command(
     overrides: Overrides = None,
     seed: Seed = None,
     duration: Annotated[
-        float | None, positive_option("SECONDS", "Simulated time, instead of the scenario's.")
+        str | None,
+        typer.Option(
+            metavar="TIME", help="Simulated time, instead of the scenario's: 120, 90s or 2m."
+        ),
     ] = None,
     out: Annotated[
         Path | None,
@@ -147,10 +153,10 @@ def run_command(
     Writes run.mcap, scenario.resolved.yaml and metrics.json to the run directory. A number outside
     the bounds of the scenario's `expect` gives exit code 3.
     """
-    from testbed.cli.progress import CompilingBar, ProgressBar
     from testbed.metrics.expectations import violations
     from testbed.metrics.tables import render_table
     from testbed.runs.bounds import unchecked_bounds, violation_lines
+    from testbed.runs.progress import make_display
     from testbed.runs.run import run
     from testbed.scenario import set_duration
     from testbed.scenario.arguments import check_argument
@@ -162,11 +168,12 @@ def run_command(
     messages = message_console()
     notes: list[tuple[str, Text]] = []
     if duration is not None:
-        duration = check_argument("--duration", duration, Header, "duration_s")
-        notes = _window_notes(loaded, duration)
-        for text in unchecked_bounds(loaded, duration):
+        seconds = read_time("--duration", duration)
+        duration_s = check_argument("--duration", seconds, Header, "duration_s")
+        notes = _window_notes(loaded, duration_s)
+        for text in unchecked_bounds(loaded, duration_s):
             messages.write_line(f"warning: {text}", "yellow")
-        loaded = set_duration(loaded, duration)
+        loaded = set_duration(loaded, duration_s)
     external = external_options(
         loaded,
         messages.write_line,
@@ -184,8 +191,11 @@ def run_command(
         )
     if rrd is not None:
         refuse_stdout(rrd)
-    observers: list[Observer] = [] if quiet else [ProgressBar(messages)]
+    observers: list[Observer] = []
+    progress: Progress = False
     with ExitStack() as stack:
+        if not quiet:
+            progress = stack.enter_context(closing(make_display(loaded.name, messages)))
         if view is not None:
             from testbed.views import FAST_HZ, RerunView
 
@@ -201,7 +211,7 @@ def run_command(
                 observers=observers,
                 external=external,
                 processes=processes,
-                compiling=None if quiet else CompilingBar(messages),
+                progress=progress,
             )
         if rrd is not None and result.directory:
             save_rrd(rrd, [read_shown_log(str(result.directory))], follow)
@@ -212,6 +222,9 @@ def run_command(
             render_table(result.metrics, console, log=result.directory, log_size=size, notes=notes)
             for path in sorted(result.directory.glob("*.py")) if result.directory else ():
                 console.write_line(f" {'control law':<20}{path}, a copy of its code")
+            if json is None and console.is_terminal:  # a program that reads a pipe needs none
+                for line in next_commands(result.directory, loaded):
+                    console.write_line(line, "dim")
         for line in violation_lines(violations(result.metrics), scenario, overrides or ()):
             (messages if quiet else console).write_line(line, "red")
         if view is ViewChoice.WEB and result.exit_code != ExitCode.INTERRUPTED:
@@ -233,8 +246,28 @@ def _window_notes(scenario: Scenario, duration_s: float) -> list[tuple[str, Text
         notes.append(("windows cut short", Text(text, style="yellow")))
     if unreached := unreached_windows(scenario, duration_s):
         text = ", ".join(unreached.values())
+        if len(unreached) == len(scenario.scenario.windows):
+            text += "; errors are those of the second half of the flight"
         notes.append(("windows not reached", Text(text, style="yellow")))
     return notes
+
+
+def next_commands(directory: Path | None, scenario: Scenario) -> list[str]:
+    """Return lines that name what to do with a run; none if it has no log.
+
+    Args:
+        directory: of the run.
+        scenario: that was flown.
+    """
+    if directory is None or not scenario.log.mcap:
+        return []
+    run = shlex.quote(str(directory))
+    commands = (
+        f"testbed view {run}",
+        f"testbed report {run}",
+        f"testbed video {run} --out {scenario.name}.mp4",
+    )
+    return [f" {'' if k else 'next':<20}{each}" for k, each in enumerate(commands)]
 
 
 def external_options(

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,17 +10,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.table import Table
 
-from testbed.cli.options import positive_option
+from testbed.cli.options import MAX_SHOWN, positive_option
 from testbed.cli.output import MISSING, PipeSafeConsole, result_console
 from testbed.core.errors import InputError
 from testbed.core.files import format_bytes
+from testbed.core.numbers import TIME_UNITS, parse_quantity
 
 if TYPE_CHECKING:
     from testbed.logs.run_list import RunEntry
 
-_HOURS = {"h": 1, "d": 24, "w": 7 * 24}
 _BYTES = {"kB": 1e3, "MB": 1e6, "GB": 1e9}
-_LONGEST = 40  # characters of a value that an error repeats
 _LARGEST = 100_000  # in the largest unit: 1,900 years, 100 TB
 
 RunsFolder = Annotated[
@@ -30,23 +28,22 @@ RunsFolder = Annotated[
 ]
 
 
-def _quantity(units: dict[str, Any], example: str) -> Callable[..., str | None]:
+def _quantity(units: Mapping[str, float], example: str) -> Callable[..., str | None]:
     """Make a typer callback that accepts a number with one of these units."""
 
     def check(parameter: typer.CallbackParam, text: str | None) -> str | None:
         if text is not None:
             at_most = f"at most {_LARGEST:,}{max(units, key=units.__getitem__)}"
-            shown = text if len(text) <= _LONGEST else f"{text[:_LONGEST]}…"
+            shown = text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}…"
             _parse(text, units, f"{parameter.opts[0]} {shown}: write {example}, {at_most}")
         return text
 
     return check
 
 
-def _parse(text: str, units: dict[str, Any], error: str) -> float:
-    match = re.fullmatch(rf"([0-9]+(?:\.[0-9]+)?) ?({'|'.join(units)})", text)
-    most = _LARGEST * max(map(float, units.values()))
-    if match is None or (value := float(match[1]) * float(units[match[2]])) > most:
+def _parse(text: str, units: Mapping[str, float], error: str) -> float:
+    value = parse_quantity(text, units)
+    if value is None or value > _LARGEST * max(units.values()):
         raise InputError(error)
     return value
 
@@ -58,7 +55,7 @@ def prune_command(
         typer.Option(
             metavar="TIME",
             help="Runs that began longer ago than this: 12h, 30d or 4w.",
-            callback=_quantity(_HOURS, "a time in hours, days or weeks, such as 12h, 30d or 4w"),
+            callback=_quantity(TIME_UNITS, "a time with its unit, such as 12h, 30d or 4w"),
         ),
     ] = None,
     size: Annotated[
@@ -96,7 +93,7 @@ def prune_command(
     runs = list_runs(folder)
     chosen = select_runs(
         runs,
-        older_than=timedelta(hours=_parse(older, _HOURS, "")) if older else None,
+        older_than=timedelta(seconds=_parse(older, TIME_UNITS, "")) if older else None,
         keep=keep,
         max_bytes=int(_parse(size, _BYTES, "")) if size else None,
     )

@@ -23,7 +23,7 @@ from testbed.core.records import join_names
 from testbed.formation.law import Saturation
 from testbed.metrics.document import EXCEEDED
 from testbed.metrics.facts import ABSENT, facts, percent, select_largest, shown
-from testbed.metrics.model import LinkMetrics, LoggedEvent, Metrics
+from testbed.metrics.model import LinkMetrics, LoggedEvent, Metrics, WindowMetrics
 
 Columns = dict[str, list[Text | str]]  # cells by heading
 Row = Sequence[str]
@@ -548,11 +548,19 @@ def _rows(metrics: Metrics) -> Iterator[Row]:
     else:
         yield (f"RMS error{kind}, m", *windows, *[f"and {more} more"] * bool(more))
         rest = [""] * bool(more)
+        yield ("", *(_span(each) for each in windows.values()), *rest)
         for name in listed:
             cells = (shown(each["rms_m"][name], "{:.2f}") for each in windows.values())
             yield (name, *cells, *rest)
         means = (shown(each["mean_rms_m"], "{:.2f}") for each in windows.values())
         yield (f"mean of {len(errors)}", *means, *rest)
+
+
+def _span(window: WindowMetrics) -> str:
+    """Format the times of a window, and how much of it a run covers that ended in it."""
+    start, end = window["window_s"]
+    part = "" if window["complete"] else f", {window['covered_s']:g} s flown"
+    return f"{start:g}–{end:g} s{part}"
 
 
 def _ending(metrics: Metrics, place: str) -> list[str]:

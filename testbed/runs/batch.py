@@ -7,13 +7,12 @@ import math
 import os
 import time
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeAlias
 
 import numpy as np
 
-from testbed.commands.autopilot_session import MANUAL_ANGLE_LIMIT
 from testbed.core.call_list import run_each
 from testbed.core.compile import is_interpreted, reporting
 from testbed.core.errors import InputError
@@ -31,9 +30,11 @@ from testbed.core.records import (
 from testbed.core.saved_state import SavedState
 from testbed.flight.loop import Flight
 from testbed.flight.tick_loop import PAUSED, PLACE
-from testbed.metrics import MetricsObserver
 from testbed.metrics.model import Metrics
+from testbed.metrics.observer import MetricsObserver
 from testbed.plan.world import RowRecords, build
+from testbed.runs.command_ranges import RANGES, wrong_part
+from testbed.runs.progress import Progress, compiling_report, reporting_progress
 from testbed.runs.run import find_loaded
 from testbed.runs.simulation import EventCollector, flight_metrics
 from testbed.scenario import Scenario, set_seed
@@ -45,8 +46,6 @@ from testbed.scenario.validate import shown_value
 
 Flown: TypeAlias = "Scenario | str | os.PathLike[str]"
 _PARTS = 4  # of the rows, for each thread
-_ANGLES = -MANUAL_ANGLE_LIMIT, MANUAL_ANGLE_LIMIT
-_BOUNDS = {"pitch": _ANGLES, "roll": _ANGLES, "throttle": (0.0, 1.0)}  # of commands
 
 
 class Batch:
@@ -61,7 +60,8 @@ class Batch:
         seeds: of the rows; None: that of the scenario for each of `rows`.
         rows: for each row `key=value` of its own; only with a name or path. None: none.
         threads: that fly; None: one for each available processor.
-        compiling: as of `testbed.run`.
+        duration_s: of all flights, s; None: that of the scenario.
+        progress: of compiling, as of `testbed.run`.
 
     Attributes:
         seeds: R, of the flights.
@@ -86,11 +86,12 @@ class Batch:
         seeds: Sequence[int] | None = None,
         rows: Sequence[Sequence[str]] | None = None,
         threads: int | None = None,
-        compiling: Callable[[int, int], None] | None = None,
+        duration_s: float | None = None,
+        progress: Progress = None,
     ) -> None:
         """See the class."""
         self._threads = _processors() if threads is None else check_count("threads", threads)
-        self._scenarios = _row_scenarios(scenario, overrides, seeds, rows)
+        self._scenarios = _row_scenarios(scenario, overrides, seeds, rows, duration_s)
         self.seeds = [each.scenario.seed for each in self._scenarios]
         first = self._scenarios[0]
         self.names = first.aircraft_names
@@ -112,7 +113,10 @@ class Batch:
         arrays = zip(aircraft, followers, links, commands, strict=True)
         self._records = [(RowRecords(*each), own) for each, own in zip(arrays, place, strict=True)]
         self.outcomes: list[str | None] = [None] * size
-        with reporting(compiling):
+        with (
+            reporting_progress(progress, first.name) as report,
+            reporting(compiling_report(report)),
+        ):
             self._rows = [self._build(row) for row in range(size)]
         self.times_s: Array = self._places["now"]
         self._commanded = np.array([each.commanded for each in self._rows])
@@ -192,15 +196,13 @@ class Batch:
                 self.outcomes[row] = self._rows[row].fly_on(each)
 
     def _check_commands(self) -> None:
-        for name, (low, high) in _BOUNDS.items() if self._commanded.any() else ():
+        for name, (low, high) in RANGES.items() if self._commanded.any() else ():
             values = self.commands[name]
             wrong = ~((values >= low) & (values <= high)) & self._commanded
             if wrong.any():
                 row, i = np.argwhere(wrong)[0].tolist()
-                raise InputError(
-                    f"commands[{row}, {i}], of {self.names[i]}: {name}: is {values[row, i]:g} "
-                    f"(write a number from {low:.4g} to {high:.4g})"
-                )
+                wrong_value = wrong_part(name, values[row, i].item())
+                raise InputError(f"commands[{row}, {i}], of {self.names[i]}: {wrong_value}")
 
     def metrics(self, row: int) -> Metrics:
         """Return the metrics of a row up to now; of a flight that goes on, "interrupted"."""
@@ -350,6 +352,7 @@ def _row_scenarios(
     overrides: Sequence[str],
     seeds: Sequence[int] | None,
     rows: Sequence[Sequence[str]] | None,
+    duration_s: float | None,
 ) -> list[Scenario]:
     """Return the scenario of each row."""
     if isinstance(scenario, list | tuple):
@@ -357,7 +360,11 @@ def _row_scenarios(
             raise InputError("scenario: is a list (write scenarios alone, without overrides, rows)")
         if not scenario or (seeds is not None and len(seeds) != len(scenario)):
             raise InputError("seeds: write one seed for each scenario, and at least one scenario")
-        return [set_seed(e, seeds[k]) if seeds is not None else e for k, e in enumerate(scenario)]
+        own_seeds = [None] * len(scenario) if seeds is None else seeds
+        return [
+            find_loaded(each, (), duration_s=duration_s, seed=seed)
+            for each, seed in zip(scenario, own_seeds, strict=True)
+        ]
     assert not isinstance(scenario, Sequence) or isinstance(scenario, str), "else it is a list"
     texts = check_overrides("overrides", overrides)
     own = [()] if rows is None else [check_overrides(f"rows[{k}]", e) for k, e in enumerate(rows)]
@@ -369,7 +376,7 @@ def _row_scenarios(
     found = []
     for k, each in enumerate(own):
         if each not in known:
-            known[each] = find_loaded(scenario, (*texts, *each))
+            known[each] = find_loaded(scenario, (*texts, *each), duration_s=duration_s)
         found.append(known[each] if seeds is None else set_seed(known[each], seeds[k]))
     return found
 

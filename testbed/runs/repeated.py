@@ -31,13 +31,13 @@ class RepeatedFlights:
         """
         kept, self._kept = self._kept, None
         if not _is_in_process(scenario):
-            return run(scenario, write=False).metrics, True
+            return run(scenario, write=False, progress=False).metrics, True
         seed = scenario.scenario.seed
         if kept is not None and set_seed(kept.scenario(0), seed) == scenario:
             kept.reset(seeds=[seed])
         else:
             kept = None  # before another one needs memory
-            kept = Batch(scenario, threads=1)
+            kept = Batch(scenario, threads=1, progress=False)
         (metrics,) = kept.run()
         depends_on_seed = kept.depends_on_seed(0)
         if depends_on_seed:  # else the next flight shall show that its seed changes nothing

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -20,6 +20,7 @@ from testbed.flight.loop import Flight
 from testbed.flight.stages import UserStage, check_stages, describe_stages
 from testbed.flight.world import World
 from testbed.logs.file_record import record_files
+from testbed.logs.flight_data import FlightData, load_run
 from testbed.logs.recorder import McapRecorder
 from testbed.logs.run_directory import (
     LOG_NAME,
@@ -30,10 +31,10 @@ from testbed.logs.run_directory import (
     create_run_directory,
     write_run_file,
 )
-from testbed.metrics import MetricsObserver
 from testbed.metrics.document import finalise, write_json
 from testbed.metrics.expectations import violations
 from testbed.metrics.model import Metrics
+from testbed.metrics.observer import MetricsObserver
 from testbed.plan.resources import check_disk
 from testbed.plan.world import build
 from testbed.runs.external_options import (
@@ -44,8 +45,15 @@ from testbed.runs.external_options import (
     external_summary,
     make_server,
 )
+from testbed.runs.progress import (
+    FlightProgress,
+    Progress,
+    Report,
+    compiling_report,
+    reporting_progress,
+)
 from testbed.runs.stop_request import RunStopped, stop_on_signals
-from testbed.scenario import Scenario, SingleAircraft, load_scenario
+from testbed.scenario import Scenario, SingleAircraft, load_scenario, set_duration, set_seed
 from testbed.scenario.arguments import check_calls, check_count, check_overrides, check_path
 from testbed.scenario.validate import shown_value
 from testbed.vehicle.workers import ParallelFleet
@@ -62,12 +70,12 @@ EXIT_CODES: Mapping[str, int] = {
 UNEXPECTED = 3  # exit code of a number outside the bounds of `expect`
 
 
-@dataclass(frozen=True, slots=True, repr=False)
+@dataclass(frozen=True, repr=False)
 class Run:
     """A flown scenario.
 
     Args:
-        scenario: as resolved.
+        scenario: as resolved and flown.
         metrics: the content of `metrics.json`.
         directory: of its files; None if nothing was written.
     """
@@ -88,6 +96,22 @@ class Run:
 
         return table_html(self.metrics, str(self.directory or ""))
 
+    @cached_property
+    def data(self) -> FlightData:
+        """The samples of the log, as of `testbed.load_run`; read when it is first used.
+
+        Raises:
+            InputError: the run wrote no log.
+            LogError: the log has been moved or damaged since.
+        """
+        if self.directory is None:
+            raise InputError(
+                "data: this run wrote no log (leave out write=False; metrics has its numbers)"
+            )
+        if not self.scenario.log.mcap:
+            raise InputError("data: this run wrote no log (write log: {mcap: true})")
+        return load_run(self.directory)
+
     @property
     def outcome(self) -> str:
         """The outcome: a key of `EXIT_CODES` except "failed"."""
@@ -103,12 +127,14 @@ def run(
     scenario: Scenario | str | os.PathLike[str],
     overrides: Sequence[str] = (),
     *,
+    duration_s: float | None = None,
+    seed: int | None = None,
     out: str | os.PathLike[str] | None = None,
     write: bool = True,
+    progress: Progress = None,
     observers: Sequence[Observer] = (),
     external: ExternalOptions = NO_EXTERNAL,
     processes: int | None = 1,
-    compiling: Callable[[int, int], None] | None = None,
     stages: Sequence[UserStage] = (),
 ) -> Run:
     """Fly a scenario to its end.
@@ -120,14 +146,19 @@ def run(
     Args:
         scenario: a scenario, or the name or path of one.
         overrides: `key=value` as for `--set`; only with a name or path.
+        duration_s: simulated time at the end, s; None: that of the scenario. See `set_duration`.
+        seed: of all random streams; None: that of the scenario.
         out: run directory to create; default `logs/<scenario>/<UTC>-<id>` in the current one.
         write: write the log, the resolved scenario and the metrics there.
+        progress: of compiling and flying. True: a bar in a terminal, one line in a notebook, lines
+            10 s apart elsewhere, on standard error; False: none; None: in a notebook only. Or a
+            function that is called with "compiling", the kernels that are ready and their number,
+            then with "flying", the simulated time and the duration, s, up to ten times a second;
+            an error in it ends the run.
         observers: further observers; one that raises ends the run as failed.
         external: links to external programs, and the pace.
         processes: that step flight models, including this one; None: as many as are fastest for
             this number of aircraft on this machine. Results do not depend on it.
-        compiling: called with the number of kernels that are ready and of all kernels, while
-            kernels are compiled before the flight: once, after which they are on disk.
         stages: of your own, inserted into the flight's; `testbed validate --stages` lists these.
 
     Raises:
@@ -143,11 +174,29 @@ def run(
         raise InputError(f"external: is {shown_value(external)} (write ExternalOptions(...))")
     if processes is not None:
         check_count("processes", processes)
-    check_observers(observers, compiling)
+    check_observers(observers)
     stages = check_stages(stages)
-    loaded = find_loaded(scenario, overrides)
+    loaded = find_loaded(scenario, overrides, duration_s=duration_s, seed=seed)
     if write and loaded.log.mcap:
         check_disk(loaded, folder or LOGS)
+    with reporting_progress(progress, loaded.name) as report:
+        return _fly(loaded, folder, write, report, observers, external, processes, stages)
+
+
+def _fly(
+    loaded: Scenario,
+    folder: Path | None,
+    write: bool,
+    report: Report | None,
+    observers: Sequence[Observer],
+    external: ExternalOptions,
+    processes: int | None,
+    stages: Sequence[UserStage],
+) -> Run:
+    """Fly a scenario; the arguments are checked, see `run`."""
+    compiling = compiling_report(report)
+    if report is not None:
+        observers = [FlightProgress(report), *observers]
     with reporting(compiling):
         world = build(
             loaded, commanded=external.has_server, arduplane=external.arduplane, processes=processes
@@ -240,31 +289,40 @@ def list_stages(world: World) -> list[tuple[str, str, str, str]]:
     return list(describe_stages(Flight(world, observers).stages))
 
 
-def find_loaded(scenario: Scenario | str | os.PathLike[str], overrides: Sequence[str]) -> Scenario:
+def find_loaded(
+    scenario: Scenario | str | os.PathLike[str],
+    overrides: Sequence[str],
+    *,
+    duration_s: float | None = None,
+    seed: int | None = None,
+) -> Scenario:
     """Return the scenario of a call.
 
     Args:
         scenario: a scenario, or the name or path of one.
         overrides: `key=value` as for `--set`.
+        duration_s: see `set_duration`; None: that of the scenario.
+        seed: see `set_seed`; None: that of the scenario.
 
     Raises:
-        InputError: there is none, or overrides are those of a scenario that is loaded already.
+        InputError: there is none, overrides are those of a scenario that is loaded already, or a
+            number is out of range.
     """
     texts = check_overrides("overrides", overrides)
     if not isinstance(scenario, Scenario):
-        return load_scenario(scenario, texts)
-    if texts:
+        scenario = load_scenario(scenario, texts)
+    elif texts:
         raise InputError(
             f"overrides: {', '.join(texts)}: the scenario is loaded already (give them to "
             "load_scenario)"
         )
-    return scenario
+    if seed is not None:
+        scenario = set_seed(scenario, seed)
+    return scenario if duration_s is None else set_duration(scenario, duration_s)
 
 
-def check_observers(
-    observers: Sequence[Observer], compiling: Callable[[int, int], None] | None
-) -> None:
-    """Check that observers have their methods, and that `compiling` can be called.
+def check_observers(observers: Sequence[Observer]) -> None:
+    """Check that observers have their methods.
 
     Raises:
         InputError: one does not.
@@ -273,8 +331,6 @@ def check_observers(
         raise InputError(f"observers: {shown_value(observers)} is no list (write [observer])")
     for index, each in enumerate(observers):
         check_calls(f"observers[{index}]", each, ("begin", "observe", "end"))
-    if compiling is not None:
-        check_calls("compiling", compiling)
 
 
 def open_run_directory(scenario: Scenario | SingleAircraft, world: World, out: Path | None) -> Path:

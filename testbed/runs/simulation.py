@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import itertools
 import math
-import numbers
 import os
 import time
 import warnings
 import weakref
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NoReturn, Self, SupportsIndex, TypeAlias
@@ -17,7 +15,6 @@ from typing import Any, NoReturn, Self, SupportsIndex, TypeAlias
 import numpy as np
 from pydantic import Field
 
-from testbed.commands.autopilot_session import MANUAL_ANGLE_LIMIT
 from testbed.core.compile import reporting
 from testbed.core.errors import InputError, NotCopiedError
 from testbed.core.records import Event, FbwaCommand, Observer, RunInfo, Sample
@@ -28,11 +25,13 @@ from testbed.flight.world import World
 from testbed.logs.file_record import record_files
 from testbed.logs.recorder import McapRecorder
 from testbed.logs.run_directory import LOG_NAME, METRICS_NAME
-from testbed.metrics import MetricsObserver
 from testbed.metrics.document import finalise, write_json
 from testbed.metrics.model import Metrics
+from testbed.metrics.observer import MetricsObserver
 from testbed.plan.world import build, build_single
+from testbed.runs.command_ranges import check_command
 from testbed.runs.external_options import external_summary
+from testbed.runs.progress import Progress, check_progress, compiling_report, reporting_progress
 from testbed.runs.run import check_observers, find_loaded, open_run_directory
 from testbed.scenario import Scenario, SingleAircraft, set_seed
 from testbed.scenario.aircraft import ArduPlane
@@ -56,10 +55,11 @@ class Simulation:
         scenario: a scenario, or the name or path of one.
         overrides: `key=value` as for `--set`; only with a name or path.
         seed: of all random streams; None: that of the scenario.
+        duration_s: at which the flight ends, s; None: that of the scenario.
         out: run directory to create, with log, resolved scenario and, after `close`, metrics; None:
             nothing is written.
         observers: as of `testbed.run`.
-        compiling: as of `testbed.run`.
+        progress: of compiling, as of `testbed.run`.
         stages: as of `testbed.run`.
 
     Attributes:
@@ -81,17 +81,21 @@ class Simulation:
         overrides: Sequence[str] = (),
         *,
         seed: int | None = None,
+        duration_s: float | None = None,
         out: str | os.PathLike[str] | None = None,
         observers: Sequence[Observer] = (),
-        compiling: Callable[[int, int], None] | None = None,
+        progress: Progress = None,
         stages: Sequence[UserStage] = (),
     ) -> None:
         """See the class."""
         self._stages = check_stages(stages)
         self._out = None if out is None else check_path("out", out)
-        check_observers(observers, compiling)
+        check_observers(observers)
+        check_progress(progress)
         self.scenario: Scenario | SingleAircraft = (
-            scenario if isinstance(scenario, SingleAircraft) else find_loaded(scenario, overrides)
+            scenario
+            if isinstance(scenario, SingleAircraft)
+            else find_loaded(scenario, overrides, duration_s=duration_s)
         )
         for each in self.scenario.aircraft:
             if isinstance(each.autopilot, ArduPlane):
@@ -99,7 +103,7 @@ class Simulation:
                     f"{each.name} has autopilot: ardupilot, a program of its own (fly it with "
                     "testbed.run, or write autopilot: virtual)"
                 )
-        self._further, self._compiling = tuple(observers), compiling
+        self._further, self._progress = tuple(observers), progress
         self._flown = False
         self._open: list[Observer] = []  # observers that have begun
         self._unclosed: list[McapRecorder] = []  # at most one
@@ -121,7 +125,14 @@ class Simulation:
         scenario = self.scenario
         if seed is not None:
             scenario = set_seed(scenario, seed)
-        with reporting(self._compiling):
+        with reporting_progress(self._progress, scenario.name) as report:
+            return self._begin(scenario, compiling_report(report))
+
+    def _begin(
+        self, scenario: Scenario | SingleAircraft, compiling: Callable[[int, int], None] | None
+    ) -> Sample:
+        """Begin a flight, and return its state."""
+        with reporting(compiling):
             if isinstance(scenario, SingleAircraft):
                 world = build_single(scenario)
             else:
@@ -137,7 +148,7 @@ class Simulation:
         observers += self._unclosed
         observers += self._further
         self._flight = Flight(world, observers, self._stages)
-        self._flight.prepare(self._compiling)
+        self._flight.prepare(compiling)
         for each in observers:
             each.begin(world.info)
             self._open.append(each)
@@ -191,7 +202,9 @@ class Simulation:
             raise InputError(
                 f"commands: is {shown_value(commands)} (write {{name: (pitch, roll, throttle)}})"
             )
-        return {self._commandable(name): _checked(name, each) for name, each in commands.items()}
+        return {
+            self._commandable(name): check_command(name, each) for name, each in commands.items()
+        }
 
     def _advance(self, due: int) -> None:
         """Fly to a tick of the base rate, or to the end."""
@@ -411,53 +424,3 @@ class EventCollector:
     def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:
         """Keep the events after the last sample."""
         self.all.extend(events)
-
-
-def _checked(
-    name: str, command: FbwaCommand[float] | tuple[float, float, float]
-) -> FbwaCommand[float]:
-    """Return a command as numbers.
-
-    Raises:
-        InputError: it does not have three numbers, or one is out of range.
-    """
-    try:
-        pitch, roll, throttle = command
-        low, high = -MANUAL_ANGLE_LIMIT, MANUAL_ANGLE_LIMIT
-        if low <= pitch <= high and low <= roll <= high and 0.0 <= throttle <= 1.0:
-            return FbwaCommand(float(pitch), float(roll), float(throttle))
-    except (TypeError, ValueError, OverflowError):
-        pass
-    raise InputError(_command_error(name, command))
-
-
-def _real(value: object) -> float:
-    """Return a value as a number; NaN: it is none."""
-    try:
-        return float(value) if isinstance(value, numbers.Real) else math.nan
-    except OverflowError:
-        return math.inf
-
-
-def _command_error(name: str, command: object) -> str:
-    """Describe what is wrong with a command."""
-    parts = FbwaCommand._fields
-    if not isinstance(command, Iterable) or isinstance(command, str | bytes | Mapping):
-        command = ()
-    values = list(itertools.islice(command, len(parts) + 1))
-    if len(values) != len(parts):
-        return f"{name}: write three numbers: pitch and roll in rad, throttle from 0 to 1"
-    for part, value in zip(parts, values, strict=True):
-        limit = 1.0 if part == "throttle" else MANUAL_ANGLE_LIMIT
-        low = 0.0 if part == "throttle" else -limit
-        number = _real(value)
-        if not low <= number <= limit:
-            break
-    what = f"{name}: {part}: is {shown_value(value)}"
-    if not math.isfinite(number):
-        return f"{what} (write a finite number)"
-    if part == "throttle":
-        hint = f"; {number:g} % is {number / 100:g}" if 1.0 < number <= 100.0 else ""
-        return f"{what} (write a number from 0 to 1{hint})"
-    hint = f"; {number:g}° is {math.radians(number):.3g} rad" if abs(number) <= 180.0 else ""
-    return f"{what} (write rad from {low:.4g} to {limit:.4g}, {math.degrees(limit):g}°{hint})"

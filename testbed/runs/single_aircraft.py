@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
@@ -14,6 +14,7 @@ from testbed.core.records import (
     FbwaCommand,
     VehicleState,
 )
+from testbed.runs.progress import Progress
 from testbed.runs.simulation import Simulation
 from testbed.scenario import SingleAircraft, resolve_single_aircraft
 from testbed.scenario.aircraft import AircraftSection, External, Mission, Start
@@ -57,7 +58,7 @@ class Aircraft:
         duration_s: after which the flight ends, s.
         physics_hz: steps of the flight model per second, a multiple of 50, up to 10,000; an
             aircraft with fast modes needs more, which an error or an event says.
-        compiling: as of `testbed.run`.
+        progress: of compiling, as of `testbed.run`.
 
     Attributes:
         simulation: the flight; the aircraft is number 0 in its records, and it has no followers.
@@ -80,7 +81,7 @@ class Aircraft:
         seed: int = 1,
         duration_s: float = 3600.0,
         physics_hz: int = 100,
-        compiling: Callable[[int, int], None] | None = None,
+        progress: Progress = None,
     ) -> None:
         """See the class."""
         given: dict[str, object] = {
@@ -105,7 +106,7 @@ class Aircraft:
             )
         flight = resolve_single_aircraft(_flight(checked))
         with _argument_errors(f"{airspeed_mps:g}", altitude_m):
-            self.simulation = Simulation(flight, compiling=compiling)
+            self.simulation = Simulation(flight, progress=progress)
         self._sample = self.simulation.state
 
     def step(

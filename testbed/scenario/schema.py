@@ -16,6 +16,7 @@ from testbed.scenario.sections import Header, Sections
 from testbed.scenario.single_aircraft import SingleAircraft
 
 SCHEMA_VERSION = 2
+SECOND_HALF = "second_half"  # window of a flight that reaches no other one
 
 
 class Scenario(Sections):
@@ -48,7 +49,9 @@ def set_duration(scenario: Scenario, duration_s: float) -> Scenario:
     """Return the scenario with another duration, in s, without what does not fit into it.
 
     A window that has begun by then ends with the run; windows and faults that begin later are
-    dropped, and bounds of these windows. Published numbers remain for complete windows only.
+    dropped, and bounds of these windows. Where no window remains of some, the second half of the
+    flight is one, `second_half`, so that every flight has its errors. Published numbers remain for
+    complete windows only.
 
     Args:
         scenario: which stays as it is.
@@ -59,14 +62,14 @@ def set_duration(scenario: Scenario, duration_s: float) -> Scenario:
     """
     duration_s = check_argument("duration_s", duration_s, Header, "duration_s")
     data = scenario.model_dump(by_alias=True)
-    header = data["scenario"]
+    header, begin = data["scenario"], scenario.scenario.begin
     windows = scenario.scenario.windows
     complete = {name for name, (_, end) in windows.items() if end <= duration_s}
     header["duration_s"] = duration_s
     header["windows"] = {
-        name: (begin, min(end, duration_s))
-        for name, (begin, end) in windows.items()
-        if begin < duration_s
+        name: (start, min(end, duration_s))
+        for name, (start, end) in windows.items()
+        if start < duration_s
     }
     if header["published"] is not None:
         for key in ("rms_m", "mean_rms_m", "percent_error"):
@@ -75,6 +78,9 @@ def set_duration(scenario: Scenario, duration_s: float) -> Scenario:
     data["expect"] = without_windows(
         data["expect"], windows.keys() - header["windows"].keys(), any_left=bool(header["windows"])
     )
+    if windows and not header["windows"]:
+        start_s = begin.at_s if begin else 0.0
+        header["windows"] = {SECOND_HALF: ((start_s + duration_s) / 2.0, duration_s)}
     for aircraft in (data["leader"], *data["fleet"]):
         aircraft["faults"] = [
             fault for fault in aircraft["faults"] if (fault["at_s"] or 0) <= duration_s

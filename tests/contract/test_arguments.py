@@ -109,7 +109,7 @@ MAKES = {
         f"Aircraft {name}": lambda v, name=name: testbed.Aircraft(
             **{"aircraft": "skywalker_x8", "airspeed_mps": 18} | {name: v}
         )
-        for name in (*_ARGUMENTS, "compiling")
+        for name in (*_ARGUMENTS, "progress")
     },
     **{
         f"HoldSlotEnv {name}": lambda v, name=name: begin_episode(**{name: v})
@@ -117,12 +117,13 @@ MAKES = {
     },
     **{
         f"Simulation {name}": lambda v, name=name: testbed.Simulation(WHOLE, **{name: v}).close()
-        for name in ("overrides", "seed", "out", "observers", "compiling", "stages")
+        for name in ("overrides", "seed", "duration_s", "out", "observers", "progress", "stages")
     },
     **{
         f"run {name}": lambda v, name=name: testbed.run(WHOLE, **{"write": False, name: v})
         for name in (
-            *("overrides", "out", "observers", "external", "processes", "compiling", "stages"),
+            *("overrides", "duration_s", "seed", "out", "progress", "observers", "external"),
+            *("processes", "stages"),
         )
     },
     **{

@@ -13,7 +13,6 @@ from record_flight import event, run_samples
 from rich.console import Console
 from snapshot import check_snapshot
 
-from testbed.metrics import MetricsObserver
 from testbed.metrics.check import check_metrics
 from testbed.metrics.document import finalise, to_json
 from testbed.metrics.facts import (
@@ -32,6 +31,7 @@ from testbed.metrics.model import (
     WindMetrics,
     WindowMetrics,
 )
+from testbed.metrics.observer import MetricsObserver
 from testbed.metrics.tables import render_table
 from testbed.studies.journal import flatten_metrics
 

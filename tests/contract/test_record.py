@@ -34,7 +34,7 @@ from testbed.logs.messages import RECORDS as RECORDS_OF_SAMPLE
 from testbed.logs.messages import TOPICS
 from testbed.logs.read import read_log, samples
 from testbed.logs.recorder import McapRecorder
-from testbed.metrics import MetricsObserver
+from testbed.metrics.observer import MetricsObserver
 from testbed.scenario import load_scenario
 
 CHUNK = block_samples(4)

@@ -17,7 +17,7 @@ from testbed.core.records import VehicleState
 from testbed.logs.mcap_file import LogError
 from testbed.logs.read import read_log, replay, samples
 from testbed.logs.recorder import McapRecorder
-from testbed.metrics import MetricsObserver
+from testbed.metrics.observer import MetricsObserver
 from testbed.reports import figures
 from testbed.runs.recover import recover
 from testbed.scenario import load_scenario

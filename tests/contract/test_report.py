@@ -26,8 +26,8 @@ from testbed.core.errors import InputError
 from testbed.logs.file_record import RECORD_NAME
 from testbed.logs.read import read_log
 from testbed.logs.recorder import McapRecorder
-from testbed.metrics import MetricsObserver
 from testbed.metrics.document import finalise
+from testbed.metrics.observer import MetricsObserver
 from testbed.network.link_statistics import initial_statistics, summarise
 from testbed.reports import figures, read_run, run_figures, run_page, save_figures, write_page
 from testbed.reports.figures_control_network_wind import AGE_INTERVALS, interval_statistics

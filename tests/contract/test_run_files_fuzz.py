@@ -21,8 +21,8 @@ from test_run_list import time_limit
 
 from testbed.logs.file_record import RECORD_NAME, TAIL_NAME, record_files
 from testbed.logs.run_directory import LOG_NAME, METRICS_NAME, SCENARIO_NAME
-from testbed.metrics import MetricsObserver
 from testbed.metrics.document import to_json
+from testbed.metrics.observer import MetricsObserver
 
 DIRECTORIES = int(os.environ.get("TESTBED_RUN_DIRECTORIES", "12"))
 LIMIT_S = 120.0  # of a command on a busy machine: only a command that waits takes so long

@@ -62,6 +62,13 @@ def test_run_loads_only_the_libraries_it_uses(tmp_path):
     assert not unused & loaded
 
 
+def test_list_loads_no_compiler(tmp_path):
+    code = "from testbed.cli.main import app; app(['list', '--json'], standalone_mode=False)"
+    loaded = loaded_by(code, tmp_path)
+    assert "testbed.scenario" in loaded
+    assert not {"numba", "jsbsim", "pyarrow", "matplotlib"} & loaded
+
+
 def test_command_options_are_built_when_called():
     group = typer.main.get_command(app)
     context = group.make_context("testbed", ["run"])

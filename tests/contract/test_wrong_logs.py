@@ -13,7 +13,7 @@ from record_flight import event, record, run_info, run_samples
 from testbed.core.errors import InputError
 from testbed.logs.mcap_file import LogError
 from testbed.logs.read import read_log
-from testbed.metrics import MetricsObserver
+from testbed.metrics.observer import MetricsObserver
 from testbed.reports import read_run, run_page
 from testbed.runs.recover import recover
 from testbed.studies.compare_runs import compare_runs

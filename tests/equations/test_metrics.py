@@ -20,9 +20,9 @@ from testbed.core.records import (
     VehicleState,
 )
 from testbed.formation.law import LimiterFlag, Saturation
-from testbed.metrics import MetricsObserver
 from testbed.metrics.accumulator import SPAN
 from testbed.metrics.facts import describe_wind
+from testbed.metrics.observer import MetricsObserver
 
 BASE_RATE_HZ, FRAME_RATE_HZ = 200, 25
 
