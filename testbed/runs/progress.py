@@ -6,7 +6,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 from testbed.core.compile import NOTICE
@@ -244,8 +243,10 @@ class _NotebookLine:
     def _show(self, text: str) -> None:
         content = {"text/plain": text}
         if self._handle is None:
-            display = import_module("IPython.display").display
-            self._handle = display(content, raw=True, display_id=True)
+            from IPython.display import display
+
+            show: Any = display  # without types
+            self._handle = show(content, raw=True, display_id=True)
         else:
             self._handle.update(content, raw=True)
 

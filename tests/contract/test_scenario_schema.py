@@ -250,7 +250,7 @@ def test_set_duration_drops_what_begins_later():
     assert [fault.at_s for fault in short.leader.faults] == [2.0, 3.0, 8.0, 12.0]
     assert [fault.at_s for fault in short.fleet[0].faults] == [4.0, 9.0, 10.0, 11.0]
     shorter = set_duration(short, 5.0)
-    assert shorter.scenario.windows == {}
+    assert shorter.scenario.windows == {"second_half": (2.5, 5.0)}
     assert shorter.scenario.published.mean_rms_m == {}
     assert loads(dump(shorter)) == shorter
 
