@@ -121,6 +121,11 @@ def test_fuel_burn_needs_fuel(folders, tmp_path):
         placed(empty, fuel_burn=True)
 
 
+def test_what_has_no_wing_is_named(tmp_path):
+    with pytest.raises(TrimError, match="mk82: its lift coefficient grows by 0.08"):
+        find_cruise(of_jsbsim("mk82", tmp_path))
+
+
 def test_cruise_speed_has_its_lift_coefficient(folders):
     """Where there is steady flight at once, as for a Cessna: 0.4 at sea level."""
     trim, measured = find_cruise(folders["c172p"]), airframe(folders["c172p"])
