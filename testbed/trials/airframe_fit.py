@@ -54,7 +54,7 @@ _ROUNDS = 6  # at most, with the variances of the differences before each
 _SETTLED = 0.1  # standard deviations: a round that changes every parameter less is the last
 _MAX_STEPS = 10  # of a round
 MOST_STEPS = _ROUNDS * _MAX_STEPS + 1
-_TOLERANCE = 1e-4  # relative, of the sum of squares and of the parameters
+_TOLERANCE = 1e-3  # relative, of the sum of squares and of the parameters, in a round
 _LOST = 1e3  # standard deviations, of rows that a candidate does not fly
 _BLOCKS = 8  # of the recording, for intervals
 _LEAST_SIGMA = 1e-9  # of a column without any difference
@@ -229,6 +229,7 @@ class _Flights:
         self.names, self.steps = (*names, *NUISANCE), 0
         self._folder, self._commands, self._setup = folder, commands, setup
         self._scratch = scratch
+        self._folders: dict[tuple[float, ...], Path] = {}  # by factors
         self.columns = tuple(name for name in FITTED if name in commands.recorded)
         self._at = [RESPONSES.index(name) for name in self.columns]
         self._has_offset = np.array([name not in _WITHOUT_OFFSET for name in self.columns])
@@ -284,14 +285,14 @@ class _Flights:
 
     def _candidate(self, point: Array) -> Candidate:
         values = dict(zip(self.names, point.tolist(), strict=True))
-        folder = self._folder
         factors = {name: values[name] for name in FACTORS if name in values}
-        if factors:
-            folder = self._scratch / f"candidate-{len(list(self._scratch.iterdir()))}"
+        key = tuple(factors.values())
+        if key not in self._folders:
+            folder = self._scratch / f"candidate-{len(self._folders)}"
             copy_with_factors(self._folder, folder, factors)
-        return Candidate(
-            folder, values.get(LATENCY, self._latency), *(values[name] for name in NUISANCE)
-        )
+            self._folders[key] = folder
+        nuisance = (values[name] for name in NUISANCE)
+        return Candidate(self._folders[key], values.get(LATENCY, self._latency), *nuisance)
 
 
 def _result(flights: _Flights, x: Array, covariance: Array, rms: Array, count: int) -> AirframeFit:

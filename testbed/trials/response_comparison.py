@@ -127,11 +127,10 @@ def compare_response(
 
 def _findings(time: Array, quantities: Mapping[str, ComparedQuantity]) -> Iterator[str]:
     """Yield what the differences point to, by the rules of docs/autopilot.md."""
-    if (roll := quantities.get("roll")) and len(time) > 2:
-        yield from _latency(time, roll)
-    for name, control in (("aileron", "aileron"), ("elevator", "elevator")):
+    yield from _latency(time, quantities)
+    for name in ("aileron", "elevator"):
         if pulses := quantities.get(name):
-            yield from _control_power(control, pulses)
+            yield from _control_power(pulses, quantities.get("airspeed"))
     if (each := quantities.get("airspeed")) and abs(each.mean) > AIRSPEED_MPS:
         word = "faster" if each.mean > 0.0 else "slower"
         yield (
@@ -155,21 +154,23 @@ def _findings(time: Array, quantities: Mapping[str, ComparedQuantity]) -> Iterat
         )
 
 
-def _latency(time: Array, roll: ComparedQuantity) -> Iterator[str]:
-    """Find the shift of the model's roll that leaves the least difference."""
-    if roll.recorded.std() < MIN_ROLL_DEG:
+def _latency(time: Array, quantities: Mapping[str, ComparedQuantity]) -> Iterator[str]:
+    """Find the shift of the model's aileron that leaves the least difference, or of its roll.
+
+    The aileron answers to a command at once; the roll is later also where the aileron is weaker.
+    """
+    least = {"aileron": MIN_PULSE_US, "roll": MIN_ROLL_DEG}
+    moved = (quantities[name] for name in least if name in quantities)
+    each = next((one for one in moved if one.recorded.std() > least[one.name]), None)
+    if each is None or time[-1] - time[0] < 4.0 * MOST_SHIFT_S:
         return
-    shift = best_shift(time, roll.recorded, roll.model)
-    inner = (time > time[0] + MOST_SHIFT_S) & (time < time[-1] - MOST_SHIFT_S)
-    moved = np.interp(time - shift, time, roll.model)
-    left, before = (
-        float(np.sqrt(np.mean((each - roll.recorded)[inner] ** 2))) for each in (moved, roll.model)
-    )
+    shift = best_shift(time, each.recorded, each.model)
+    before, left = (_rms_of_shift(time, each.recorded, each.model, by) for by in (0.0, shift))
     if abs(shift) > LATENCY_S and left < LATENCY_SHARE * before:
         word = "behind" if shift > 0.0 else "ahead of"
         yield (
-            f"latency: the recorded roll is {1e3 * abs(shift):.0f} ms {word} the model's; with "
-            f"that shift {left:.2f}° RMS of {before:.2f}° are left"
+            f"latency: the recorded {each.name} is {1e3 * abs(shift):.0f} ms {word} the model's; "
+            f"with that shift {left:.2g} {each.unit} RMS of {before:.2g} are left"
         )
 
 
@@ -181,28 +182,34 @@ def best_shift(time: Array, recorded: Array, model: Array) -> float:
         recorded: (K,)
         model: (K,)
     """
-    inner = (time > time[0] + MOST_SHIFT_S) & (time < time[-1] - MOST_SHIFT_S)
-    if not inner.any():
-        return 0.0
     count = round(MOST_SHIFT_S / SHIFT_STEP_S)
     shifts = SHIFT_STEP_S * np.arange(-count, count + 1)
-    errors = [
-        float(np.sum((np.interp(time[inner] - each, time, model) - recorded[inner]) ** 2))
-        for each in shifts
-    ]
+    errors = [_rms_of_shift(time, recorded, model, each) for each in shifts.tolist()]
     return float(shifts[int(np.argmin(errors))])
 
 
-def _control_power(name: str, pulses: ComparedQuantity) -> Iterator[str]:
-    """Compare how far the control is moved for nearly the same motion."""
-    recorded, model = (each - each.mean() for each in (pulses.recorded, pulses.model))
+def _rms_of_shift(time: Array, recorded: Array, model: Array, shift: float) -> float:
+    """Return the RMS difference about its mean, with the model later by a shift, s."""
+    inner = (time > time[0] + MOST_SHIFT_S) & (time < time[-1] - MOST_SHIFT_S)
+    difference = np.interp(time[inner] - shift, time, model) - recorded[inner]
+    return float(difference.std())
+
+
+def _control_power(pulses: ComparedQuantity, airspeed: ComparedQuantity | None) -> Iterator[str]:
+    """Compare how far a control is moved for nearly the same motion, times dynamic pressure."""
+    recorded, model = pulses.recorded, pulses.model
+    recorded, model = (each - each.mean() for each in (recorded, model))
     if min(recorded.std(), model.std()) < MIN_PULSE_US:
         return
-    correlation = float(np.mean(recorded * model) / (recorded.std() * model.std()))
+    if airspeed is not None:
+        typical = float(np.mean(airspeed.model**2))
+        recorded = recorded * airspeed.recorded**2 / typical
+        model = model * airspeed.model**2 / typical
+    correlation = float(np.corrcoef(recorded, model)[0, 1])
     ratio = float(recorded.std() / model.std())
     if abs(ratio - 1.0) > POWER_SHARE and correlation > POWER_CORRELATION:
-        word = "weaker" if ratio > 1.0 else "stronger"
+        word, name = "weaker" if ratio > 1.0 else "stronger", pulses.name
         yield (
-            f"airframe: the recorded {name} moves {ratio:.2f} times as far as the model's: a "
-            f"{word} {name} than the model's, or another servo travel"
+            f"airframe: the recorded {name} moves {ratio:.2f} times as far as the model's, at the "
+            f"same dynamic pressure: a {word} {name}, or another servo travel"
         )

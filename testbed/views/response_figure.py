@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from testbed.core.records import Array
-from testbed.views.panels import BLACK, BLUE, Line, Panel, PanelGrid
+from testbed.views.panels import BLACK, ORANGE, Line, Panel, PanelGrid
 
 COLUMNS = 2
 PANEL_INCHES = (7.5, 2.5)  # width and height
@@ -59,7 +59,7 @@ def _panel(data: ResponseFigureData, k: int, *, last: bool) -> Panel:
         each.unit,
         [
             Line(data.time_s, recorded, BLACK, "recorded", 1.6),
-            Line(data.time_s, model, BLUE, "model", 1.0),
+            Line(data.time_s, model, ORANGE, "model", 1.0),
         ],
         x_limits=(float(data.time_s[0]), float(data.time_s[-1])),
     )
