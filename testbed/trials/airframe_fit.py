@@ -25,8 +25,8 @@ from testbed.core.stats import LEVEL, student_quantile
 from testbed.vehicle.airframe_variant import FACTORS, copy_with_factors
 from testbed.vehicle.replay_commands import (
     RESPONSES,
-    Candidate,
     Commands,
+    ReplayedAircraft,
     ReplaySetup,
     replay,
 )
@@ -283,7 +283,7 @@ class _Flights:
         slope -= self._has_offset[:, None] * slope.mean(axis=0)
         return difference, slope
 
-    def _candidate(self, point: Array) -> Candidate:
+    def _candidate(self, point: Array) -> ReplayedAircraft:
         values = dict(zip(self.names, point.tolist(), strict=True))
         factors = {name: values[name] for name in FACTORS if name in values}
         key = tuple(factors.values())
@@ -292,7 +292,7 @@ class _Flights:
             copy_with_factors(self._folder, folder, factors)
             self._folders[key] = folder
         nuisance = (values[name] for name in NUISANCE)
-        return Candidate(self._folders[key], values.get(LATENCY, self._latency), *nuisance)
+        return ReplayedAircraft(self._folders[key], values.get(LATENCY, self._latency), *nuisance)
 
 
 def _result(flights: _Flights, x: Array, covariance: Array, rms: Array, count: int) -> AirframeFit:

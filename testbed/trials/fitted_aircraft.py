@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from testbed.autopilot.parameters import AutopilotTiming
-from testbed.core.files import new_folder
+from testbed.core.files import new_folder, write_text_file
+from testbed.core.input_files import read_bounded_text
 from testbed.trials.airframe_fit import LATENCY, AirframeFit, FittedParameter
 from testbed.vehicle.airframe_variant import FACTORS, copy_with_factors
 
@@ -28,8 +29,9 @@ def write_fitted_aircraft(folder: Path, fit: AirframeFit, path: Path, recording:
     with new_folder(path) as new:
         copy_with_factors(folder, new, fit.factors())
         source = new / SOURCE
-        before = source.read_text(encoding="utf-8").rstrip() + "\n\n" if source.is_file() else ""
-        source.write_text(before + _source_text(folder.name, fit, recording), encoding="utf-8")
+        before = read_bounded_text(source).rstrip() + "\n\n" if source.is_file() else ""
+        with write_text_file(source) as file:
+            file.write(before + _source_text(folder.name, fit, recording))
 
 
 def companion_latency(fit: AirframeFit) -> float | None:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 from xml.parsers import expat
 
+from testbed.core.files import write_file
 from testbed.core.input_files import read_bounded
 from testbed.vehicle.airframe_validation import MAX_BYTES
 from testbed.vehicle.jsbsim_adapter import airframe
@@ -100,9 +101,13 @@ def copy_with_factors(folder: Path, copy: Path, factors: Mapping[str, float]) ->
         start = _child(root, main, "aerodynamics").start
         text = f'<system name="fit">\n{"".join(declared)}  </system>\n\n  '
         edits.append(_Insertion(start, start, text))
-    shutil.copytree(folder, copy)
+    try:
+        shutil.copytree(folder, copy)
+    except shutil.Error as error:  # such as a pipe in it
+        raise AircraftError(f"{folder}: cannot be copied: {error.args[0][0][2]}") from None
     (copy / main.name).unlink()
-    (copy / f"{copy.name}.xml").write_bytes(_edited(content, edits))
+    with write_file(copy / f"{copy.name}.xml") as file:
+        file.write(_edited(content, edits))
 
 
 def _edited(content: bytes, edits: list[_Insertion]) -> bytes:

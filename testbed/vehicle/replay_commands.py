@@ -141,7 +141,7 @@ class ReplaySetup:
         )
 
 
-class Candidate(NamedTuple):
+class ReplayedAircraft(NamedTuple):
     """An aircraft to replay commands with."""
 
     folder: Path
@@ -152,7 +152,7 @@ class Candidate(NamedTuple):
 
 
 def replay(
-    candidates: Sequence[Candidate],
+    candidates: Sequence[ReplayedAircraft],
     commands: Commands,
     setup: ReplaySetup,
     *,
@@ -228,7 +228,7 @@ def replay_one(
     altitude = setup.origin_elevation - start.position_ned[2]
     modes = modes_of_aircraft(folder, TrimPoint(start.airspeed, altitude=altitude), origin)
     check_fixed_step(folder.name, start.airspeed, modes, BASE_RATE_HZ, warn)
-    alone = Candidate(folder, setup.timing.command_latency, start.airspeed)
+    alone = ReplayedAircraft(folder, setup.timing.command_latency, start.airspeed)
     response: Array = replay([alone], commands, setup)[0]
     return response
 
