@@ -26,7 +26,8 @@ if TYPE_CHECKING:
     from testbed.cli.output import PipeSafeConsole
     from testbed.trials.airframe_fit import AirframeFit
     from testbed.trials.response_comparison import ResponseComparison
-    from testbed.vehicle.replay_commands import Commands, ReplaySetup
+    from testbed.vehicle.command_files import Commands
+    from testbed.vehicle.replay_commands import ReplaySetup
 
 RECORDED, AUTOPILOT = "recorded", "autopilot"  # tunes
 LOOSE_SHARE = 0.5  # half width of an interval, of its value, beyond which nothing was found out
@@ -154,14 +155,8 @@ def respond_command(
     from testbed.autopilot.parameters import AutopilotTiming, read_params
     from testbed.scenario import find_aircraft
     from testbed.trials.response_comparison import compare_response
-    from testbed.vehicle.replay_commands import (
-        AircraftLost,
-        ReplaySetup,
-        check_flown,
-        read_commands,
-        replay_one,
-        write_response,
-    )
+    from testbed.vehicle.command_files import read_commands, write_response
+    from testbed.vehicle.replay_commands import AircraftLost, ReplaySetup, check_flown, replay_one
 
     names = _fit_names(fit)
     if write is not None and not names:

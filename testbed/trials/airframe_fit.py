@@ -23,13 +23,8 @@ from testbed.core.errors import InputError
 from testbed.core.records import Array
 from testbed.core.stats import LEVEL, student_quantile
 from testbed.vehicle.airframe_variant import FACTORS, copy_with_factors
-from testbed.vehicle.replay_commands import (
-    RESPONSES,
-    Commands,
-    ReplayedAircraft,
-    ReplaySetup,
-    replay,
-)
+from testbed.vehicle.command_files import RESPONSES, Commands
+from testbed.vehicle.replay_commands import ReplayedAircraft, ReplaySetup, replay
 from testbed.vehicle.trim import TrimError
 
 LATENCY = "latency"

@@ -9,7 +9,7 @@ import numpy as np
 
 from testbed.core.frames import GRAVITY
 from testbed.core.records import Array
-from testbed.vehicle.replay_commands import RESPONSES, Commands
+from testbed.vehicle.command_files import RESPONSES, Commands
 
 _DEGREES = 180.0 / np.pi
 # Column: name, unit and units per unit of the column; in the order of the table.

@@ -14,15 +14,10 @@ from testbed.cli.main import app
 from testbed.core.errors import InputError
 from testbed.trials.response_comparison import best_shift, compare_response
 from testbed.vehicle.airframe_variant import copy_with_factors
+from testbed.vehicle.command_files import RESPONSES, read_commands, write_response
 from testbed.vehicle.jsbsim_adapter import airframe, trim_aircraft
 from testbed.vehicle.jsbsim_model import AircraftError
-from testbed.vehicle.replay_commands import (
-    RESPONSES,
-    ReplaySetup,
-    read_commands,
-    replay_one,
-    write_response,
-)
+from testbed.vehicle.replay_commands import ReplaySetup, replay_one
 from testbed.vehicle.trim import TrimPoint
 
 ROOT = Path(__file__).parents[2]

@@ -16,7 +16,8 @@ from testbed.autopilot.parameters import AutopilotTiming, read_params
 from testbed.trials.airframe_fit import PARAMETERS, block_covariance, fit_airframe
 from testbed.trials.response_comparison import compare_response
 from testbed.vehicle.airframe_variant import copy_with_factors
-from testbed.vehicle.replay_commands import ReplaySetup, read_commands, replay_one
+from testbed.vehicle.command_files import read_commands
+from testbed.vehicle.replay_commands import ReplaySetup, replay_one
 
 ROOT = Path(__file__).parents[2]
 RASCAL = ROOT / "aircraft" / "rascal110"
