@@ -85,6 +85,7 @@ check-all: test release
 		tests/truth/test_import_flight.py tests/equations/test_follow_target.py
 	@TESTBED_FRAMES=10000 $(BIN)/pytest -q tests/clients/test_storm.py
 	@TESTBED_IMPORTS=1000 $(BIN)/pytest -q tests/truth/test_import_identity.py
+	@TESTBED_FITS=20 $(BIN)/pytest -q tests/truth/test_airframe_fit.py
 	@TESTBED_MUTATIONS=20000 $(BIN)/pytest -q -n $(JOBS) tests/contract/test_mutations.py
 	@TESTBED_AIRCRAFT=2000 $(BIN)/pytest -q tests/contract/test_airframe_files.py
 	@TESTBED_RUN_DIRECTORIES=500 TESTBED_WRITE_ERRORS=300 $(BIN)/pytest -q -n $(JOBS) \

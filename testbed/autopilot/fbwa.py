@@ -198,10 +198,10 @@ def fbwa(g: Record, m: Record, delay_line: Array, estimate: Record, command: Rec
     Returns:
         Aileron, elevator and rudder, -1..1, and throttle, 0..1.
     """
-    fraction, started = g.command_fraction, m.period > 0
-    roll_command = _delayed(delay_line, ROLL, fraction, started, command.roll)
-    pitch_command = _delayed(delay_line, PITCH, fraction, started, command.pitch)
-    throttle = _delayed(delay_line, THROTTLE, fraction, started, command.throttle)
+    started = m.period > 0
+    roll_command = _delayed(g, delay_line, ROLL, started, command.roll)
+    pitch_command = _delayed(g, delay_line, PITCH, started, command.pitch)
+    throttle = _delayed(g, delay_line, THROTTLE, started, command.throttle)
     throttle = _clip(throttle, 0.0, g.throttle_max)
     equivalent = max(estimate.equivalent_airspeed, LEAST_AIRSPEED)
     eas2tas = max(estimate.airspeed, LEAST_AIRSPEED) / equivalent
@@ -304,14 +304,14 @@ def _clip(value: float, low: float, high: float) -> float:
 
 
 @kernel
-def _delayed(line: Array, column: int, fraction: float, started: bool, now: float) -> float:
+def _delayed(g: Record, line: Array, column: int, started: bool, now: float) -> float:
     """Return a command one latency ago, and put the newest into the delay line."""
     if not started:
         line[:, column] = now
         return now
-    whole = len(line) - 1
+    whole = g.command_periods
     younger = now if whole == 0 else line[whole - 1, column]
-    late: float = younger + fraction * (line[whole, column] - younger)
+    late: float = younger + g.command_fraction * (line[whole, column] - younger)
     for k in range(whole, 0, -1):
         line[k, column] = line[k - 1, column]
     line[0, column] = now

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from testbed.autopilot.fbwa import AIRSPEED_S, GAINS, PITCH_UNDERSPEED, PRESSURE_WEIGHT
+from testbed.autopilot.known_parameters import probably_meant
 from testbed.autopilot.param_file import GivenValue, ParamError, ParamFile, read_param_file
 from testbed.core.frames import GRAVITY
 from testbed.core.records import Array, Records, allocate
@@ -138,7 +139,8 @@ def read_params(path: Path) -> FbwaParams:
 
     The travel of a surface is that of the output that SERVOn_FUNCTION assigns to it, times
     MIXING_GAIN for elevons. Names that fly-by-wire A does not use are ignored, with one warning
-    that has their number. A note on a name that it uses is a warning too.
+    that has their number, and one for each that is probably misspelt. A note on a name that it uses
+    is a warning too.
 
     Raises:
         ParamError: the file cannot be read, or a line or value is invalid.
@@ -150,15 +152,23 @@ def read_params(path: Path) -> FbwaParams:
             warnings.warn(f"{path}: {note.text}", stacklevel=2)
     params = fbwa_params(file)
     taken = {each.name for each in _used_values(file).values()}
-    unknown = {
-        each.name
+    unused = {
+        name: each
         for name, each in file.values.items()
         if not is_virtual(name) and each.name not in taken
     }
-    if unknown:
-        some = ", ".join(sorted(unknown)[:3]) + (", …" if len(unknown) > 3 else "")
+    used = [name.upper() for name in RANGES]
+    misspelt = {name: meant for name in unused if (meant := probably_meant(name, used))}
+    for name, meant in misspelt.items():
+        each = unused.pop(name)
+        text = f"{each.name} is no parameter of fly-by-wire A: did you mean {meant}?"
+        warnings.warn(f"{path}:{each.line}: {text} It is ignored", stacklevel=2)
+    if unused:
+        names = {each.name for each in unused.values()}
+        some = ", ".join(sorted(names)[:3]) + (", …" if len(names) > 3 else "")
         warnings.warn(
-            f"{path}: ignored {len(unknown)} parameters that fly-by-wire A does not use ({some})",
+            f"{path}: ignored {len(names)} parameters that fly-by-wire A does not use ({some}); "
+            "`testbed arduplane params FILE` lists them",
             stacklevel=2,
         )
     return params

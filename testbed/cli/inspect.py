@@ -1,4 +1,4 @@
-"""The commands that analyse one aircraft: trim, linearize, step, respond."""
+"""The commands that analyse one aircraft: trim, linearize, step."""
 
 from __future__ import annotations
 
@@ -11,18 +11,15 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from testbed.cli.exit_codes import ExitCode
-from testbed.cli.options import AircraftName, JsonFile, ParamFile, finite_option, require_finite
+from testbed.cli.options import AircraftName, JsonFile, ParamFile, finite_option
 from testbed.cli.output import (
     MISSING,
-    check_output_path,
     message_console,
     result_console,
     ruled_table,
     write_json_output,
 )
 from testbed.core.errors import InputError
-from testbed.core.files import report_write_errors
 
 if TYPE_CHECKING:
     from testbed.core.records import NedOrigin
@@ -190,86 +187,6 @@ def step_command(
     if response.limited_s > LIMITED_SHARE * response.time[-1]:
         line = " the throttle was at a limit: the pole is that of the motor, not of the loop"
         console.write_line(line, "yellow")
-
-
-def respond_command(
-    aircraft: AircraftName,
-    commands: Annotated[
-        Path,
-        typer.Argument(
-            metavar="COMMANDS.csv",
-            help="Columns t_s, theta_cmd_rad, phi_cmd_rad, throttle_cmd; others are ignored, "
-            "except airspeed_mps, altitude_m and psi_rad of the first row.",
-        ),
-    ],
-    output: Annotated[
-        Path,
-        typer.Argument(
-            metavar="OUT.csv",
-            help="The response, with the same columns and times.",
-            callback=check_output_path,
-        ),
-    ],
-    param: ParamFile = "recorded",
-    airspeed: Annotated[
-        float | None,
-        finite_option(
-            "M/S", "True airspeed at the start.  \\[default: airspeed_mps of the first row, or 22]"
-        ),
-    ] = None,
-    altitude: Annotated[
-        float | None,
-        finite_option(
-            "M", "Altitude above the origin.  \\[default: altitude_m of the first row, or 100]"
-        ),
-    ] = None,
-    origin_elevation: Annotated[
-        float, finite_option("M", "Elevation of the origin above sea level.")
-    ] = 300.0,
-    sitl_rate: Annotated[
-        float | None,
-        typer.Option(
-            metavar="HZ",
-            min=1.0,
-            callback=require_finite,
-            help="The recording is of SITL with this SIM_RATE_HZ: the virtual autopilot has its "
-            "gyro filter.  \\[default: that of an aircraft]",
-        ),
-    ] = None,
-) -> None:
-    """Replay recorded fly-by-wire-A commands through one aircraft."""
-    from testbed.autopilot.parameters import AutopilotTiming
-    from testbed.scenario import find_aircraft, find_tune
-    from testbed.vehicle.replay_commands import AircraftLost, respond
-
-    folder = find_aircraft(aircraft)
-    tune = find_tune(folder, param)
-    try:
-        with report_write_errors(str(output)):
-            respond(
-                folder,
-                commands,
-                output,
-                param=tune,
-                airspeed=airspeed,
-                altitude=altitude,
-                origin_elevation=origin_elevation,
-                timing=AutopilotTiming(sitl_physics_hz=sitl_rate),
-                warn=lambda text: message_console().write_line(f"warning: {text}"),
-            )
-            message_console().write_line(_gyro_filter_text(sitl_rate))
-    except AircraftLost as loss:
-        typer.echo(f"lost: {loss}", err=True)
-        raise typer.Exit(ExitCode.AIRCRAFT_LOST) from None
-
-
-def _gyro_filter_text(sitl_rate: float | None) -> str:
-    if sitl_rate is None:
-        return (
-            "gyro filter: INS_GYRO_FILTER, as on an aircraft (for a recording of SITL write "
-            "--sitl-rate, its SIM_RATE_HZ)"
-        )
-    return f"gyro filter: that of SITL at {sitl_rate:g} Hz"
 
 
 def trim_document(result: TrimResult) -> dict[str, Any]:

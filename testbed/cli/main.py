@@ -7,6 +7,7 @@ import math
 import os
 import sys
 import traceback
+import warnings
 from collections.abc import Callable, Mapping
 from functools import cache
 from importlib import import_module
@@ -19,7 +20,7 @@ from typer.core import TyperCommand, TyperGroup, TyperOption
 
 from testbed.cli.exit_codes import EXIT_CODES_HELP, ExitCode
 from testbed.cli.output import guard_standard_streams
-from testbed.core.errors import ExternalProgramLost, InputError, memory_shortage
+from testbed.core.errors import ExternalProgramLost, InputError, escape_controls, memory_shortage
 from testbed.core.interrupts import count_sigint
 from testbed.core.numbers import parse_number
 from testbed.core.version import __version__
@@ -54,7 +55,7 @@ PANELS: Final[Mapping[str, Mapping[str, str]]] = {
         "trim": "inspect",
         "linearize": "inspect",
         "step": "inspect",
-        "respond": "inspect",
+        "respond": "respond",
         "import": "export",
         "arduplane": "arduplane",
     },
@@ -259,9 +260,21 @@ def _main(
         ) from None
 
 
+_show_with_place = warnings.showwarning
+
+
+def _show_warning(message: Warning | str, category: type[Warning], *place: Any) -> None:  # noqa: ANN401
+    """Print a warning about the input as a line, without the line of code that gave it."""
+    if category is UserWarning:
+        typer.echo(f"warning: {escape_controls(str(message))}", err=True)
+    else:
+        _show_with_place(message, category, *place)
+
+
 def main() -> None:
     """Run the command line and exit with the code of its ending."""
     guard_standard_streams()
+    warnings.showwarning = _show_warning  # type: ignore[assignment]
     try:
         with count_sigint():
             try:

@@ -14,7 +14,7 @@ from testbed.core.errors import InputError
 from testbed.core.records import Array, BoolArray, ByteArray, Indices, NedOrigin, Records, Values
 from testbed.vehicle.compiled import CompiledAircraft, NotTranslated
 from testbed.vehicle.compiled.columns import AIR_INPUTS
-from testbed.vehicle.compiled.proof import prove_aircraft
+from testbed.vehicle.compiled.proof import Proof, prove_aircraft
 from testbed.vehicle.compiled.rows import write_air as write_air_numbers
 from testbed.vehicle.compiled.rows import write_motion
 from testbed.vehicle.fleet import FlightModels, Move, place_model
@@ -23,6 +23,7 @@ from testbed.vehicle.jsbsim_io import BATTERY_PROPERTIES, CONTROLS, lead_control
 from testbed.vehicle.trim import InitialState, TrimResult
 
 _LEFT = 255  # status of a row that is not advanced any more
+_PROOFS: dict[tuple[str, int], Proof] = {}  # by source and rate
 _INITIAL_CHARGE, _CHARGE = "battery/initial-state-of-charge", BATTERY_PROPERTIES[0]
 
 
@@ -50,7 +51,10 @@ def find_engine(folder: Path, rate_hz: int) -> Engine:
     except NotTranslated as error:
         return Engine(None, str(error))
     prepare([(compiled.run_rows, _example(compiled))])
-    proof = prove_aircraft(compiled, rate_hz)
+    # another mass or another value of a property is another row of the same function
+    key = compiled.source, rate_hz
+    proof = _PROOFS.get(key) or prove_aircraft(compiled, rate_hz)
+    _PROOFS[key] = proof
     if not proof.equal:
         return Engine(None, f"{folder.name}: compiled, {proof.unequal}: it is flown by JSBSim")
     return Engine(

@@ -200,7 +200,7 @@ def feed_table(path):
     from testbed.network.channel import make_channel
     from testbed.network.links import resolve_links
     from testbed.network.trace import TraceFile
-    from testbed.vehicle.replay_commands import read_commands
+    from testbed.vehicle.command_files import read_commands
 
     if "leader" in path.name:
         sample_recording(read_recording(path), np.linspace(0.0, 0.3, 7))

@@ -26,7 +26,7 @@ from testbed.studies.golden_table import read_table as read_golden
 from testbed.studies.plan import load_study
 from testbed.studies.tune_schema import load_tune
 from testbed.vehicle import airframe_validation
-from testbed.vehicle.replay_commands import CommandsError, read_commands
+from testbed.vehicle.command_files import CommandsError, read_commands
 
 SPARSE_BYTES = 8 << 30
 READERS = {

@@ -784,3 +784,16 @@ def test_wrong_range_of_a_parameter_is_found(
 @pytest.mark.parametrize("path", sorted(library().glob("aircraft/*/*.param")), ids=lambda p: p.name)
 def test_tunes_of_the_aircraft_are_usual(path: Path) -> None:
     assert list(unusual_values(read_params(path))) == []
+
+
+def test_misspelt_name_has_a_warning(tmp_path: Path) -> None:
+    path = tmp_path / "a.param"
+    path.write_text("RLL_RATE_P 0.3\nPTCH_RATEI 0.1\nSERVO3_MIN 1100\nYAW_RATE_P 1\n")
+    with pytest.warns(UserWarning) as caught:
+        assert read_params(path) == FbwaParams(rll_rate_p=0.3)
+    misspelt, counted = (str(each.message) for each in caught)
+    assert misspelt == (
+        f"{path}:2: PTCH_RATEI is no parameter of fly-by-wire A: did you mean PTCH_RATE_I? It is "
+        "ignored"
+    )
+    assert f"{path}: ignored 2 parameters" in counted

@@ -31,7 +31,8 @@ from testbed.cli.main import app
 from testbed.core.errors import InputError
 from testbed.mavlink import dataflash, tlog_flight
 from testbed.mavlink.flight_import import read_flight
-from testbed.vehicle.replay_commands import COMMANDS, RESPONSES, respond
+from testbed.vehicle.command_files import COMMANDS, RESPONSES
+from testbed.vehicle.replay_commands import respond
 
 FLIGHT = recorded()
 SHORT = FLIGHT[:500]  # 20 s

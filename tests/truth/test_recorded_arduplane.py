@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from testbed.autopilot.parameters import AutopilotTiming, ParamError
+from testbed.vehicle.command_files import CommandsError, read_commands
 from testbed.vehicle.environment import JSBSIM_DEFAULT_INTEGRATORS
-from testbed.vehicle.replay_commands import AircraftLost, CommandsError, read_commands, respond
+from testbed.vehicle.replay_commands import AircraftLost, respond
 
 ROOT = Path(__file__).parents[2]
 RASCAL = ROOT / "aircraft" / "rascal110"
