@@ -118,7 +118,9 @@ def scene_and_batch(
     if len(batch) < 2:
         raise InputError("the two runs have no samples at the same times: nothing to overlay")
     begin, step = float(batch.time[0]), float(np.median(np.diff(batch.time)))
-    both = replace(overlay_scenes(scene, second_scene, LABELS), sample_rate_hz=1.0 / step)
+    real = _is_recorded(first), _is_recorded(second)
+    both = overlay_scenes(scene, second_scene, LABELS, real)
+    both = replace(both, sample_rate_hz=1.0 / step)
     titles = [
         Event(begin, "info", label, f"is {each.title}")
         for label, each in zip(LABELS, (scene, second_scene), strict=True)
@@ -130,6 +132,11 @@ def _prepare(run: RunLog, follow: str | None = None) -> tuple[Scene, ViewBatch]:
     batch = batch_of(run, run.events)
     estimated = not np.array_equal(batch.estimated_position, batch.position, equal_nan=True)
     return replace(scene_of(run.info, follow), estimated=estimated), batch
+
+
+def _is_recorded(run: RunLog) -> bool:
+    """Return whether a run is a recorded flight of real aircraft."""
+    return bool(run.metrics and run.metrics.get("recorded"))
 
 
 def _send(sink: ViewSink, batch: ViewBatch) -> None:

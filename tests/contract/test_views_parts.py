@@ -95,7 +95,7 @@ def test_overlay_of_different_laws_and_rates(barriers):
         if isinstance(value, tuple)
         else value[::5]
         for name, value in vars(two).items()
-        if name not in ("info", "events")
+        if name not in ("info", "events", "metrics")
     }
     still, batch = scene_and_batch(one, SimpleNamespace(info=two.info, events=(), **slow))
     assert still.sample_rate_hz == pytest.approx(5.0) and len(batch) == 50
