@@ -128,8 +128,14 @@ def read_motions(
         contents = tlog_flight.read_contents(path)
         found = systems or contents.systems or (None,)
         logs = {system: tlog_flight.make_log(contents, system) for system in found}
+        if len(logs) > 1:  # the others are wanted, too
+            logs = {n: replace(log, notes=_without_senders(log.notes)) for n, log in logs.items()}
     ends = -math.inf, math.inf
     return {n: _import_flight(log, *ends, mode, motion=True) for n, log in logs.items()}
+
+
+def _without_senders(notes: Sequence[str]) -> tuple[str, ...]:
+    return tuple(note for note in notes if not note.startswith(tlog_flight.OTHER_SENDERS))
 
 
 def _import_flight(
@@ -169,7 +175,9 @@ def _import_flight(
         columns["throttle_cmd"] = np.clip(columns["throttle_cmd"], 0.0, 1.0)
     columns["psi_rad"] = np.mod(columns["psi_rad"], 2.0 * math.pi)
     sources = {name: one.source for name, one in restored.items()}
-    notes = [*log.notes, *other, *_notes(log, series, time, pitch_down_known)]
+    notes = [*log.notes, *other]
+    if not motion:
+        notes += _notes(log, series, time, pitch_down_known)
     if position is not None:
         try:
             added, where = sample_motion(log, position, series.get("v_down_mps"), time)

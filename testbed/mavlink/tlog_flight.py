@@ -50,6 +50,7 @@ from testbed.mavlink.tlog_clock import Received, VehicleClock
 _ATTITUDE, _POSITION, _OUTPUTS = "ATTITUDE", "GLOBAL_POSITION_INT", "SERVO_OUTPUT_RAW"
 _HEARTBEAT = "HEARTBEAT"
 _REMEDY = "have it streamed (SRn_ parameters, or MAV_CMD_SET_MESSAGE_INTERVAL)"
+OTHER_SENDERS = "messages of other senders were left out"
 _AUTOPILOT = 1  # component
 _MIN_BACK = 0.01  # of the sequence numbers, which datagrams out of order do not reach
 _MAX_STEP_BACK, _DAY = 1.0, 86400.0  # s
@@ -313,7 +314,7 @@ def _left_out_notes(
         for (system, component), count in sorted({**counts, **components}.items())
         if count
     )
-    notes = [f"messages of other senders were left out: {senders}"] if senders else []
+    notes = [f"{OTHER_SENDERS}: {senders}"] if senders else []
     if vehicle.other_ports:
         notes.append(
             f"{vehicle.other_ports} {_OUTPUTS} of other ports, outputs above the 16th, were left "

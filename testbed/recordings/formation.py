@@ -190,6 +190,8 @@ def _events(
             for each in tracks
         ),
     ]
+    for each in tracks:
+        events += [Event(begin, "warning", each.name, note) for note in each.motion.notes]
     if sections[1:]:
         others = ", ".join(f"{a:g} to {b:g}" for a, b in sorted(sections[1:]))
         text = f"sections between gaps, left out: {others} s"

@@ -57,11 +57,13 @@ class Motion:
         columns: by name, t_s first; each (M,).
         sources: what each column comes from.
         origin: of north_m, east_m, down_m; None: their origin is not known.
+        notes: about data quality.
     """
 
     columns: Mapping[str, Array]
     sources: Mapping[str, str]
     origin: NedOrigin | None = None
+    notes: tuple[str, ...] = ()
 
     def rows(self, keep: BoolArray | slice) -> Motion:
         """Select rows."""
@@ -125,7 +127,7 @@ def complete(motion: Motion, origin: NedOrigin | None) -> Motion:
     for alias, name in ALIASES.items():
         if alias not in columns:
             columns[alias], sources[alias] = columns[name], sources[name]
-    return Motion(columns, sources, origin)
+    return Motion(columns, sources, origin, motion.notes)
 
 
 def _complete_velocity(

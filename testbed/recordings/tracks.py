@@ -158,7 +158,7 @@ def _read_motion(
 
 
 def _motion(flight: ImportedFlight) -> Motion:
-    return Motion(flight.columns, flight.sources)
+    return Motion(flight.columns, flight.sources, notes=flight.notes)
 
 
 def _check_count(logs: Sequence[LogFile], names: Sequence[str]) -> None:

@@ -3,12 +3,12 @@
 import csv
 import json
 import math
-import struct
 
 import numpy as np
 import pytest
 import yaml
 from flight_logs import ROOT, write_run_dataflash
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 from typer.testing import CliRunner
 
 import testbed
@@ -205,23 +205,41 @@ def test_formation_with_another_clock_is_off(flown, formations):
     assert rms["uav2"] == pytest.approx(own["uav2"], abs=1e-9)
 
 
-def without(data, system, begin_ms, end_ms):
-    """Return a .tlog without the positions of a system between two times of its clock."""
-    kept, at = b"", 0
+def records(data):
+    """Yield (record, message) of a .tlog."""
+    at = 0
     while at < len(data):
         end = at + 8 + 12 + data[at + 9]
-        message = decode(data[at + 8 : end])
-        boot = message.fields.get("time_boot_ms", -1)
-        named = message.name == "GLOBAL_POSITION_INT" and message.system == system
-        if not (named and begin_ms < boot < end_ms):
-            kept += data[at:end]
+        yield data[at:end], decode(data[at + 8 : end])
         at = end
-    return kept
+
+
+def without(data, name, system=None, begin_ms=-math.inf, end_ms=math.inf):
+    """Return a .tlog without some messages: of a system, between two times of its clock."""
+    return b"".join(
+        record
+        for record, message in records(data)
+        if message.name != name
+        or message.system != (system or message.system)
+        or not begin_ms < message.fields["time_boot_ms"] < end_ms
+    )
+
+
+def test_formation_by_times_of_receipt_is_noted(flown):
+    """Without SYSTEM_TIME the receiver's clock is used; here both are the same."""
+    data = without((flown / "run/run.tlog").read_bytes(), "SYSTEM_TIME")
+    (flown / "receipt.tlog").write_bytes(data)
+    words = ("import-formation", flown / "three.yaml", flown / "receipt.tlog")
+    printed = " ".join(invoke(flown, *words, "--out", flown / "receipt").split())
+    assert "leader: unix_s: times of receipt, as no SYSTEM_TIME has a time" in printed
+    found = json.loads((flown / "receipt/metrics.json").read_text())["windows"]["joined"]
+    own = json.loads((flown / "run/metrics.json").read_text())["windows"]["joined"]
+    assert found["mean_rms_m"] == pytest.approx(own["mean_rms_m"], abs=SLOT_ERROR_M)
 
 
 def test_formation_leaves_out_gaps(flown):
     data = (flown / "run/run.tlog").read_bytes()
-    (flown / "gap.tlog").write_bytes(without(data, 3, 10_000, 12_500))
+    (flown / "gap.tlog").write_bytes(without(data, "GLOBAL_POSITION_INT", 3, 10_000, 12_500))
     words = ("import-formation", flown / "three.yaml", flown / "gap.tlog", "--out", flown / "gap")
     assert "left out: 0.0 to 10.0 s" in " ".join(invoke(flown, *words).split())
     log = read_log(flown / "gap" / "run.mcap")
@@ -403,22 +421,14 @@ def test_map_of_positions_alone_gives_a_leader(foreign, flight, tmp_path):
 
 def test_import_of_zero_position_has_no_leader(flown, tmp_path):
     """ArduPlane sends latitude and longitude 0 where it knows none."""
-    data, at, out = (flown / "run/run.tlog").read_bytes(), 0, []
-    import pymavlink.dialects.v20.ardupilotmega as dialect
-
-    sender = dialect.MAVLink(None, 1, 1)
-    while at < len(data):
-        end = at + 8 + 12 + data[at + 9]
-        message = decode(data[at + 8 : end])
-        frame = data[at + 8 : end]
+    out = []
+    for record, message in records((flown / "run/run.tlog").read_bytes()):
+        frame = record[8:]
         if message.name == "GLOBAL_POSITION_INT":
-            zero = dialect.MAVLink_global_position_int_message(
-                message.fields["time_boot_ms"], 0, 0, 0, 0, 0, 0, 0, 0
-            )
-            sender.srcSystem = message.system
-            frame = zero.pack(sender)
-        out.append(struct.pack(">Q", struct.unpack_from(">Q", data, at)[0]) + frame)
-        at = end
+            boot_ms = message.fields["time_boot_ms"]
+            zero = dialect.MAVLink_global_position_int_message(boot_ms, *([0] * 8))
+            frame = zero.pack(dialect.MAVLink(None, message.system, 1))
+        out.append(record[:8] + frame)
     (tmp_path / "zero.tlog").write_bytes(b"".join(out))
     found = read_flight(tmp_path / "zero.tlog", system=2)
     assert "GLOBAL_POSITION_INT knows no position" in found.no_position
