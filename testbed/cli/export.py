@@ -1,8 +1,7 @@
-"""The commands that convert and finish logs: export, import, recover."""
+"""The commands that convert and finish logs: export, recover."""
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Callable
 from contextlib import closing
@@ -12,11 +11,8 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 
-from testbed.cli.options import RunName, StartTime, finite_option, output_option
+from testbed.cli.options import RunName, StartTime
 from testbed.cli.output import (
     check_output_path,
     describe_file,
@@ -26,11 +22,10 @@ from testbed.cli.output import (
     result_console,
 )
 from testbed.core.errors import InputError
-from testbed.core.files import report_write_errors, write_text_file
+from testbed.core.files import report_write_errors
 
 if TYPE_CHECKING:
     from testbed.logs.flight_data import FlightData
-    from testbed.mavlink.flight_import import ImportedFlight
 
 
 class Format(StrEnum):
@@ -131,7 +126,7 @@ def export_command(
 
 
 def _write_scene_log(flight: FlightData, path: Path) -> None:
-    from testbed.core.files import replacement, report_write_errors
+    from testbed.core.files import replacement
     from testbed.runs.progress import FlightProgress, make_display
     from testbed.views.foxglove_scene import write_scene_log
 
@@ -147,7 +142,7 @@ def _write_scene_log(flight: FlightData, path: Path) -> None:
 
 def _write_bag(flight: FlightData, path: Path) -> None:
     from testbed.cli.progress import progress_counter
-    from testbed.core.files import new_folder, report_write_errors
+    from testbed.core.files import new_folder
     from testbed.views.ros2_export import write_bag
 
     if is_stdout(path):
@@ -179,79 +174,6 @@ def _writer(
         folder = Path() if is_stdout(path) else path.parent
         text = plotjuggler_layout(flight, os.path.relpath(log, folder))
     return lambda file: file.write(text.encode("utf-8", "backslashreplace"))
-
-
-def import_command(
-    flight: Annotated[
-        Path,
-        typer.Argument(
-            metavar="FLIGHT", help="ArduPlane's log: a .bin of the autopilot, or a .tlog."
-        ),
-    ],
-    out: Annotated[Path, output_option(metavar="CSV", help="The recording to write.")],
-    system: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="System of a .tlog to import.  \\[default: the only one]"),
-    ] = None,
-    begin: Annotated[
-        float | None,
-        finite_option(
-            "S",
-            "Import nothing earlier: seconds since boot for a .bin, since the first record "
-            "for a .tlog.",
-            "--from",
-        ),
-    ] = None,
-    end: Annotated[float | None, finite_option("S", "Import nothing later.", "--to")] = None,
-    mode: Annotated[
-        str, typer.Option(metavar="MODE", help="Import flight in this mode only; any: in all.")
-    ] = "FBWA",
-) -> None:
-    """Convert a log of a real flight to a recording that `testbed respond` replays.
-
-    Takes the longest continuous section in the mode, with a row per attitude message. Columns that
-    the log does not have are left out.
-    """
-    from testbed.mavlink.flight_import import read_flight, write_flight
-
-    if begin is not None and end is not None and begin >= end:
-        raise InputError(f"--from {begin:g}: not before --to {end:g}; write an earlier time")
-    found = read_flight(
-        flight,
-        system=system,
-        begin=-math.inf if begin is None else begin,
-        end=math.inf if end is None else end,
-        mode=mode,
-    )
-    with report_write_errors(f"--out {out}"), write_text_file(out) as file:
-        write_flight(found, file.write)
-    console = result_console()
-    _print_import(console, found)
-    console.write_line(f" recording  {out}")
-
-
-def _print_import(console: Console, flight: ImportedFlight) -> None:
-    time = flight.columns["t_s"]
-    rate = (len(time) - 1) / (time[-1] - time[0])
-    console.print(
-        Text.assemble(
-            " ",
-            (", ".join(flight.modes) or "mode unknown", "bold"),
-            f" · {time[0]:.2f} to {time[-1]:.2f} s · {len(time):,} rows, {rate:.1f} per second",
-        )
-    )
-    table = Table(box=None, pad_edge=True, show_header=False)
-    table.add_column(no_wrap=True)
-    table.add_column()
-    for name, source in flight.sources.items():
-        table.add_row(name, source)
-    for name, reason in flight.missing.items():
-        table.add_row(Text(name, style="dim"), Text(f"left out: {reason}", style="dim"))
-    console.print()
-    console.print(table)
-    console.print()
-    for note in flight.notes:
-        console.print(Text(f" note: {note}"))
 
 
 def recover_command(run: RunName) -> None:

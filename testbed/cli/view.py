@@ -22,6 +22,7 @@ from testbed.cli.options import (
     check_follow,
     output_option,
     parse_pixels,
+    run_names,
 )
 from testbed.cli.output import describe_file, is_stdout, message_console
 from testbed.core.errors import InputError, MissingExtraError
@@ -39,8 +40,20 @@ class Renderer(StrEnum):
     SOFTWARE = "software"
 
 
+OtherRun = Annotated[
+    str | None,
+    typer.Argument(
+        metavar="[RUN]",
+        help="A second run, drawn over the first; a recorded flight is translucent.",
+        autocompletion=run_names,
+    ),
+]
+
+
 def view_command(
     run: RunName,
+    other: OtherRun = None,
+    *,
     at: Annotated[
         float | None,
         typer.Option(metavar="SECONDS", help="Stop the viewer's cursor at this time of the run."),
@@ -55,29 +68,29 @@ def view_command(
     ] = False,
     host: Host = "127.0.0.1",
 ) -> None:
-    """Replay a run in a Rerun viewer."""
+    """Replay a run in a Rerun viewer, or two runs overlaid."""
+    names = [name for name in (run, other) if name is not None]
     if rrd and at is not None:
         raise InputError(
             f"--at {at:g}: a recording has no cursor. Leave out --at and move the cursor in the "
-            f"viewer, or save a picture: testbed shot {run} --at {at:g} --out FILE.png"
+            f"viewer, or save a picture: testbed shot {shlex.join(names)} --at {at:g} --out "
+            "FILE.png"
         )
     if web and (rrd or at is not None):
         other = "--rrd" if rrd else "--at"
         raise InputError(f"--web {other}: write one of them")
-    log = read_shown_log(run)
-    check_follow(follow, log.info.names)
-    at_s = None if at is None else _check_time(at, log)
+    logs = [read_shown_log(name) for name in names]
+    check_follow(follow, logs[0].info.names)
+    at_s = None if at is None else _check_time(at, *logs)
     if web:
-        _serve(log, host, follow)
+        _serve(logs, host, follow)
     else:
-        _show("view", [run], [log], rrd, at_s, follow)
+        _show("view", names, logs, rrd, at_s, follow)
 
 
 def shot_command(
     run: RunName,
-    other: Annotated[
-        str | None, typer.Argument(metavar="[RUN]", help="A second run, drawn over the first.")
-    ] = None,
+    other: OtherRun = None,
     *,
     out: Annotated[
         Path, output_option(metavar="FILE.png", help="The picture.", suffixes=(".png",))
@@ -260,12 +273,12 @@ def open_viewer(host: str, *, web: bool) -> Iterator[LiveViewer]:
         yield LiveViewer(port=served.port)
 
 
-def _serve(log: RunLog, host: str, follow: str | None) -> None:
-    """Serve a run in a web viewer until Ctrl-C."""
+def _serve(logs: Sequence[RunLog], host: str, follow: str | None) -> None:
+    """Serve one run, or two overlaid, in a web viewer until Ctrl-C."""
     from testbed.views import replay
 
     with sigterm_interrupts(), open_viewer(host, web=True) as viewer:
-        replay(replace(viewer, lossless=True), log, follow=follow)
+        replay(replace(viewer, lossless=True), *logs, follow=follow)
         wait_for_interrupt()
 
 

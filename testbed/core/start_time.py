@@ -28,6 +28,12 @@ def start_unix_ns(text: str) -> int:
     return (time - _EPOCH) // timedelta(microseconds=1) * _NS_PER_US
 
 
+def iso_time(unix_s: float) -> str:
+    """Return a time since 1970 (UTC), s, as text of ISO 8601, to the millisecond."""
+    text = datetime.fromtimestamp(round(unix_s, 3), UTC).isoformat(timespec="milliseconds")
+    return text.replace("+00:00", "Z")
+
+
 def now() -> str:
     """Return the present time in UTC as text of ISO 8601."""
     return datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")

@@ -10,6 +10,7 @@ import numpy as np
 from testbed.core.csv_table import CsvTable, read_table
 from testbed.core.errors import InputError
 from testbed.core.frames import euler_rates, wrap_pi
+from testbed.core.interpolation import hermite
 from testbed.core.records import Array
 
 COLUMNS = tuple(
@@ -124,9 +125,9 @@ def sample_recording(recording: RecordedFlight, time: Array) -> SampledTrajector
     acceleration = np.gradient(recording.velocity_ned, recording.time, axis=0)
     angle_rates = euler_rates(recording.euler, recording.rates_body)
     rows = recording.time
-    position, _ = _hermite(at, rows, recording.position_ned, recording.velocity_ned)
-    velocity, acceleration = _hermite(at, rows, recording.velocity_ned, acceleration)
-    euler, _ = _hermite(at, rows, recording.euler, angle_rates)
+    position, _ = hermite(at, rows, recording.position_ned, recording.velocity_ned)
+    velocity, acceleration = hermite(at, rows, recording.velocity_ned, acceleration)
+    euler, _ = hermite(at, rows, recording.euler, angle_rates)
     euler[:, 2] = wrap_pi(euler[:, 2])
     rates = [np.interp(at, rows, recording.rates_body[:, axis]) for axis in range(3)]
     return SampledTrajectory(
@@ -143,10 +144,16 @@ def sample_recording(recording: RecordedFlight, time: Array) -> SampledTrajector
 def _even_times(time: Array, stamps: list[str]) -> Array:
     """Return the even grid (M,) s that `time` was rounded from, if any.
 
-    A stamp may have been rounded at its last nonzero digit.
+    Stamps of as many digits before the point have as many behind it, of which a writer may leave
+    out zeros: they were rounded at the last nonzero digit of all of them.
     """
     step = float(np.round(np.median(np.diff(time)), 6))
-    decimals = np.array([len(stamp.partition(".")[2].rstrip("0")) for stamp in stamps])
+    parts = [stamp.partition(".") for stamp in stamps]
+    digits = [len(behind.rstrip("0")) for _, _, behind in parts]
+    most: dict[int, int] = {}
+    for (before, _, _), count in zip(parts, digits, strict=True):
+        most[len(before)] = max(count, most.get(len(before), 0))
+    decimals = np.array([most[len(before)] for before, _, _ in parts])
     rounding = 0.5 * 10.0**-decimals + 1e-6  # and that of stamps stored as floats before
     since_first = step * np.arange(len(time))
     earliest = np.max(time - rounding - since_first)  # the first row, if all are on the grid
@@ -156,16 +163,3 @@ def _even_times(time: Array, stamps: list[str]) -> Array:
     first = min(max(time[0], earliest), latest)
     even: Array = first + since_first
     return even
-
-
-def _hermite(at: Array, time: Array, value: Array, slope: Array) -> tuple[Array, Array]:
-    """Interpolate cubically at `at` (T,); return values and derivatives, from slopes (M, 3)."""
-    left = np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(time) - 2)
-    width = (time[left + 1] - time[left])[:, np.newaxis]
-    u = (at - time[left])[:, np.newaxis] / width
-    p0, p1 = value[left], value[left + 1]
-    m0, m1 = slope[left] * width, slope[left + 1] * width
-    square = 3.0 * (p1 - p0) - 2.0 * m0 - m1
-    cube = 2.0 * (p0 - p1) + m0 + m1
-    curve = p0 + u * (m0 + u * (square + u * cube))
-    return curve, (m0 + u * (2.0 * square + 3.0 * u * cube)) / width

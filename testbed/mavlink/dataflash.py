@@ -38,6 +38,7 @@ from testbed.mavlink.flight_log import (
     undamaged,
 )
 from testbed.mavlink.log_identity import UNKNOWN_VEHICLE, is_plane
+from testbed.mavlink.log_position import DATAFLASH
 from testbed.mavlink.servo_outputs import (
     SERVO_COLUMNS,
     demand_source,
@@ -320,6 +321,7 @@ def _output_field(number: int) -> str:
 
 _OUTPUTS = tuple(_output_field(n) for n in range(1, 15))
 _ANGLE = ("deg", "degheading")
+_GEODETIC = {"Lat": ("deglatitude",), "Lng": ("deglongitude",), "Alt": ("m",)}
 # By message: its fields with their units by UNIT and FMTU, of which empty and unknown ones are not
 # checked, and the field with the number of the sensor or of the EKF's core. The lowest number is
 # used; of the cores the one that flew the aircraft.
@@ -330,10 +332,21 @@ _FIELDS_BY_MESSAGE: Mapping[str, tuple[Mapping[str, tuple[str, ...]], str | None
     "CTUN": ({"As": ("m/s",), "E2T": (), "ThO": ("%",)}, None),
     "RCOU": (dict.fromkeys(_OUTPUTS, ("us",)), None),
     "AETR": ({"Ail": (), "Elev": (), "Thr": ("%",), "Rudd": ()}, None),
-    "POS": ({"Alt": ("m",), "RelHomeAlt": ("m",)}, None),
-    "GPS": ({"Alt": ("m",), "VZ": ("m/s",)}, "I"),
+    "POS": ({**_GEODETIC, "RelHomeAlt": ("m",)}, None),
+    "GPS": (
+        {
+            **_GEODETIC,
+            "VZ": ("m/s",),
+            "Spd": ("m/s",),
+            "GCrs": _ANGLE,
+            "Status": (),
+            "GWk": (),
+            "GMS": ("s",),
+        },
+        "I",
+    ),
     "BARO": ({"Alt": ("m",), "CRt": ("m/s",)}, "I"),
-    "XKF1": ({"VD": ("m/s",)}, _CORE),
+    "XKF1": (dict.fromkeys(("VN", "VE", "VD"), ("m/s",)), _CORE),
     "AOA": ({"AOA": ("deg",), "SSA": ("deg",)}, None),
 }
 _UNITS: Mapping[tuple[str, str], tuple[str, ...]] = {
@@ -343,6 +356,7 @@ _UNITS: Mapping[tuple[str, str], tuple[str, ...]] = {
 }
 _NO_MULTIPLIER = "-?"  # ids of FMTU: there is none, or it is not known
 _US = 1e-6  # s, of TimeUS
+_RAW = {"TimeUS": _US, "GMS": 1e-3}  # multipliers of fields that are read as raw values
 _SAME_MULTIPLIER = 1e-6  # relative; logs have them in single precision
 _SEA_LEVEL = (field_source("POS", "Alt"), field_source("GPS", "Alt"))
 
@@ -455,6 +469,7 @@ def read_log(path: Path) -> FlightLog:
         columns=COLUMNS,
         remedy=f"{_REMEDY}, or download it again: {'; '.join(notes)}" if notes else _REMEDY,
         home=(field_source("POS", "Alt"), field_source("POS", "RelHomeAlt")),
+        motion=DATAFLASH,
     )
 
 
@@ -603,7 +618,7 @@ def _check_units(path: Path, contents: Contents) -> None:
             given = multipliers.get(factor, 0.0)
             if (name, label) not in _UNITS or divisor is None or factor in _NO_MULTIPLIER:
                 continue
-            assumed = (_US if label == "TimeUS" else 1.0) / divisor
+            assumed = _RAW.get(label, 1.0) / divisor
             if 0.0 < given < math.inf and not math.isclose(
                 given, assumed, rel_tol=_SAME_MULTIPLIER
             ):

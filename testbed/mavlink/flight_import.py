@@ -3,36 +3,45 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from testbed.core.input_files import MAX_FLIGHT_LOG_BYTES, open_regular
 from testbed.core.records import Array
 from testbed.mavlink import dataflash, tlog_flight
 from testbed.mavlink.codec import MavlinkError, decode, frame_length
 from testbed.mavlink.flight_log import (
-    MODES,
     RAD_PER_DEG,
     FlightLog,
     LogSeries,
-    MessageTable,
     Unavailable,
     first_available,
     longest_gap,
-    mode_name,
     resample,
+)
+from testbed.mavlink.flight_sections import (
+    ANY,
+    COMMANDS,
+    MAX_GAP,
+    all_rows,
+    longest_interval,
+    modes_between,
+    without_ends,
+)
+from testbed.mavlink.log_position import (
+    UNIX,
+    home_height,
+    read_positions,
+    sample_motion,
+    unix_time,
 )
 from testbed.mavlink.tlog import has_records
 
-COMMANDS = ("theta_cmd_rad", "phi_cmd_rad", "throttle_cmd")
-REQUIRED = (*COMMANDS, "phi_rad", "theta_rad", "psi_rad")
-ANY = "any"
-_MAX_GAP = 1.0  # s without attitude, at which an interval ends
+ATTITUDES = ("phi_rad", "theta_rad", "psi_rad")
+REQUIRED = (*COMMANDS, *ATTITUDES)
 _MIN_THROTTLE = 0.01  # largest throttle that is doubted
 _MAX_SPEED = 350.0  # m/s of any aircraft
 _MIN_COSINE = 0.1  # of 84°, in the restoration of commands
@@ -56,6 +65,8 @@ class ImportedFlight:
         missing: by column that the log does not have, the reason and the remedy.
         notes: about data quality.
         modes: flight modes in the interval.
+        no_position: why the columns of `POSITION` are left out; "" if they are there.
+        home_m: height of home above sea level; None: not known.
     """
 
     columns: Mapping[str, Array]
@@ -63,6 +74,8 @@ class ImportedFlight:
     missing: Mapping[str, str]
     notes: tuple[str, ...]
     modes: tuple[str, ...]
+    no_position: str = ""
+    home_m: float | None = None
 
 
 def read_flight(
@@ -87,16 +100,70 @@ def read_flight(
     Raises:
         MavlinkError: the file cannot be read, or does not contain such a flight.
     """
-    log = _read_log(path, system)
+    return _import_flight(_read_log(path, system), begin, end, mode, motion=False)
+
+
+def read_motions(
+    path: Path, systems: Sequence[int] = (), *, mode: str = ANY
+) -> dict[int | None, ImportedFlight]:
+    """Read all rows with a known position of several vehicles, gaps between them or not.
+
+    Commands are not needed.
+
+    Args:
+        path: a .tlog, or a .bin of one vehicle.
+        systems: of the .tlog; empty: all.
+        mode: of ArduPlane, or `any`.
+
+    Returns:
+        The flights by system; of a .bin None.
+
+    Raises:
+        MavlinkError: see `read_flight`.
+    """
+    logs: dict[int | None, FlightLog] = {}
+    if _check_kind(path) == "bin":
+        logs = {None: _read_log(path, next(iter(systems), None))}
+    else:
+        contents = tlog_flight.read_contents(path)
+        found = systems or contents.systems or (None,)
+        logs = {system: tlog_flight.make_log(contents, system) for system in found}
+        if len(logs) > 1:  # the others are wanted, too
+            logs = {n: replace(log, notes=_without_senders(log.notes)) for n, log in logs.items()}
+    ends = -math.inf, math.inf
+    return {n: _import_flight(log, *ends, mode, motion=True) for n, log in logs.items()}
+
+
+def _without_senders(notes: Sequence[str]) -> tuple[str, ...]:
+    return tuple(note for note in notes if not note.startswith(tlog_flight.OTHER_SENDERS))
+
+
+def _import_flight(
+    log: FlightLog, begin: float, end: float, mode: str, *, motion: bool
+) -> ImportedFlight:
+    """Read columns of a log; see `read_flight`, and `read_motions` with `motion`."""
+    path = log.path
     attitude = log.tables.get(log.attitude)
     if attitude is None:
         raise MavlinkError(f"{path}: no {log.attitude}; {log.remedy}")
-    series, missing = _read_columns(log)
-    time, other = _longest_interval(log, attitude, begin, end, mode, series)
+    position, no_position = None, ""
+    try:
+        position = read_positions(log, log.motion)
+    except Unavailable as error:
+        no_position = f"{error}; {log.remedy}"
+        if motion:
+            raise MavlinkError(f"{path}: {no_position}") from None
+    series, missing = _read_columns(log, needed=ATTITUDES if position else REQUIRED)
+    other: tuple[str, ...] = ()
+    if motion and position is not None:
+        time = all_rows(log, attitude, begin, end, mode, position)
+    else:
+        time, other = longest_interval(log, attitude, begin, end, mode, series)
+        time = time if position is None else without_ends(time, position)
     for name, one in list(series.items()):
-        if (flown := _of_same_flight(log, one, time)) is None:
+        if (flown := log.of_same_flight(one, time)) is None:
             reason = f"{one.source} has no value in the flight from {time[0]:.1f} s on"
-            if name in REQUIRED:
+            if name in ATTITUDES or (name in COMMANDS and position is None):
                 raise MavlinkError(f"{path}: {reason}, so no {name}; {log.remedy}")
             missing[name] = f"{reason}; {log.remedy}"
             del series[name]
@@ -104,23 +171,57 @@ def read_flight(
             series[name] = flown
     restored, pitch_down_known = _restore_commands(log, series)
     columns = {"t_s": time} | {name: resample(one, time) for name, one in restored.items()}
-    columns["throttle_cmd"] = np.clip(columns["throttle_cmd"], 0.0, 1.0)
+    if "throttle_cmd" in columns:
+        columns["throttle_cmd"] = np.clip(columns["throttle_cmd"], 0.0, 1.0)
     columns["psi_rad"] = np.mod(columns["psi_rad"], 2.0 * math.pi)
     sources = {name: one.source for name, one in restored.items()}
-    notes = (*log.notes, *other, *_notes(log, series, time, pitch_down_known))
-    return ImportedFlight(columns, sources, missing, notes, _modes(log, time))
+    notes = [*log.notes, *other]
+    if not motion:
+        notes += _notes(log, series, time, pitch_down_known)
+    if position is not None:
+        try:
+            added, where = sample_motion(log, position, series.get("v_down_mps"), time)
+        except Unavailable as error:
+            no_position = str(error)
+        else:
+            unix, clock, note = unix_time(log, time)
+            notes += note
+            columns |= added
+            sources |= where
+            if unix is not None:
+                columns[UNIX], sources[UNIX] = unix, clock
+    return ImportedFlight(
+        columns,
+        sources,
+        missing,
+        tuple(notes),
+        modes_between(log, time),
+        no_position,
+        home_height(log, time),
+    )
 
 
 def _read_log(path: Path, system: int | None) -> FlightLog:
     """Read a log of either kind."""
-    with open_regular(path, MAX_FLIGHT_LOG_BYTES, error=MavlinkError) as file:
-        head = file.read(_HEAD_BYTES)
-    if head.startswith(dataflash.SIGNATURE):
+    if _check_kind(path) == "bin":
         if system is not None:
             raise MavlinkError(f"--system {system}: {path} is of one vehicle; leave it out")
         return dataflash.read_log(path)
+    return tlog_flight.make_log(tlog_flight.read_contents(path), system)
+
+
+def _check_kind(path: Path) -> str:
+    """Return "bin" or "tlog", by the content of a file.
+
+    Raises:
+        MavlinkError: it is neither.
+    """
+    with open_regular(path, MAX_FLIGHT_LOG_BYTES, error=MavlinkError) as file:
+        head = file.read(_HEAD_BYTES)
+    if head.startswith(dataflash.SIGNATURE):
+        return "bin"
     if has_records(head):
-        return tlog_flight.read_log(path, system)
+        return "tlog"
     names = (name for magic, name in _OTHER_FORMATS.items() if head.startswith(magic))
     found = next(names, "neither")
     if not head:
@@ -128,103 +229,28 @@ def _read_log(path: Path, system: int | None) -> FlightLog:
     elif decode(head[: frame_length(head, 0)]):
         found = "MAVLink without times"
     raise MavlinkError(
-        f"{path}: this is {found}; give a DataFlash log of ArduPlane (.bin) or a telemetry log "
-        "(.tlog)"
+        f"{path}: this is {found}; give a DataFlash log of ArduPlane (.bin), a telemetry log "
+        "(.tlog), or a CSV file with --columns MAP.yaml"
     )
 
 
-def _read_columns(log: FlightLog) -> tuple[dict[str, LogSeries], dict[str, str]]:
+def _read_columns(
+    log: FlightLog, needed: tuple[str, ...]
+) -> tuple[dict[str, LogSeries], dict[str, str]]:
     """Read all columns, and explain the missing ones.
 
     Raises:
-        MavlinkError: a command or attitude is missing.
+        MavlinkError: a needed one is missing.
     """
     series, missing = {}, {}
     for name, sources in log.columns.items():
         try:
             series[name] = first_available(log, sources)
         except Unavailable as reason:
-            if name in REQUIRED:
+            if name in needed:
                 raise MavlinkError(f"{log.path}: {reason}, so no {name}; {log.remedy}") from None
             missing[name] = f"{reason}; {log.remedy}"
     return series, missing
-
-
-def _flight_numbers(log: FlightLog, time: Array) -> NDArray[np.int64]:
-    """Count the starts of the vehicle's clock before each time (M,)."""
-    return np.searchsorted(log.clock_starts, time, side="right")
-
-
-def _of_same_flight(log: FlightLog, series: LogSeries, time: Array) -> LogSeries | None:
-    """Take the values of the flight that has these times; None: there are none."""
-    same = _flight_numbers(log, series.time) == _flight_numbers(log, time[:1])
-    if not same.any():
-        return None
-    return replace(series, time=series.time[same], values=series.values[same])
-
-
-def _longest_interval(
-    log: FlightLog,
-    attitude: MessageTable,
-    begin: float,
-    end: float,
-    mode: str,
-    series: Mapping[str, LogSeries],
-) -> tuple[Array, tuple[str, ...]]:
-    """Find the times of the longest interval with commands, and a note on others."""
-    number = None if mode == ANY else _mode_number(mode)
-    time = attitude.time[np.concatenate([[True], np.diff(attitude.time) > 0.0])]
-    wanted = (time >= begin) & (time <= end)
-    flight = _flight_numbers(log, time)
-    for name in COMMANDS:
-        known = series[name].time
-        latest = np.searchsorted(known, time, side="right") - 1
-        wanted &= (latest >= 0) & (_flight_numbers(log, known)[np.maximum(latest, 0)] == flight)
-    if number is not None:
-        in_mode = np.zeros(len(time), dtype=bool)
-        for interval in log.modes:
-            if interval.mode == number:
-                in_mode |= (time >= interval.start) & (time <= interval.end)
-        wanted &= in_mode
-    where = np.flatnonzero(wanted)
-    pause = np.diff(time[where]) > _MAX_GAP
-    other_flight = np.diff(flight[where]) > 0
-    breaks = np.flatnonzero((np.diff(where) > 1) | pause | other_flight) + 1
-    intervals = [part for part in np.split(time[where], breaks) if len(part) > 1]
-    if not intervals:
-        raise MavlinkError(_no_interval(log, time, mode))
-    longest = max(intervals, key=lambda part: float(part[-1] - part[0]))
-    others = ", ".join(
-        f"{part[0]:.1f} to {part[-1]:.1f}" for part in intervals if part is not longest
-    )
-    starts = ", ".join(f"{start:.1f}" for start in log.clock_starts)
-    restarts = (
-        f"the vehicle's clock starts again at {starts} s, after a reboot or with another vehicle "
-        "of this id; one flight is used"
-    )
-    note = f"the longest of {len(intervals)} intervals; --from and --to choose others: {others} s"
-    return longest, (*([note] if others else []), *([restarts] if starts else []))
-
-
-def _mode_number(mode: str) -> int:
-    for number, name in MODES.items():
-        if name == mode.upper():
-            return number
-    raise MavlinkError(f"--mode {mode}: write any, or one of {', '.join(MODES.values())}")
-
-
-def _no_interval(log: FlightLog, time: Array, mode: str) -> str:
-    modes = ", ".join(f"{mode_name(m.mode)} {m.start:.1f} to {m.end:.1f}" for m in log.modes)
-    return (
-        f"{log.path}: nothing in {mode} between --from and --to; it has attitude from "
-        f"{time[0]:.1f} to {time[-1]:.1f} s and the modes {modes or '(none logged)'}; write "
-        "another --mode, or --mode any"
-    )
-
-
-def _modes(log: FlightLog, time: Array) -> tuple[str, ...]:
-    modes = [m.mode for m in log.modes if m.start < time[-1] and m.end > time[0]]
-    return tuple(mode_name(mode) for mode in dict.fromkeys(modes))
 
 
 def _restore_commands(
@@ -236,8 +262,11 @@ def _restore_commands(
     of the roll; then STAB_PITCH_DOWN was subtracted.
 
     Returns:
-        The series, and whether the parameters of STAB_PITCH_DOWN are in the log.
+        The series, and whether the parameters of STAB_PITCH_DOWN are in the log, or not needed, as
+        commands are missing.
     """
+    if not series.keys() >= {*COMMANDS}:
+        return dict(series), True
     roll, pitch = series["phi_cmd_rad"], series["theta_cmd_rad"]
     commands = pitch.values
     source = pitch.source
@@ -286,10 +315,10 @@ def _notes(
                 f"{name}: {one.source} came {1.0 / _period(one.time):.3g} times a second; a step "
                 f"may be {gap:.2g} s late"
             )
-        elif gap > _MAX_GAP:
+        elif gap > MAX_GAP:
             notes.append(f"{name}: {one.source} has gaps of up to {gap:.1f} s")
-    throttle = series["throttle_cmd"]
-    if 0.0 < float(np.max(throttle.values)) <= _MIN_THROTTLE:
+    throttle = series.get("throttle_cmd")
+    if throttle and 0.0 < float(np.max(throttle.values)) <= _MIN_THROTTLE:
         notes.append(
             f"throttle_cmd never exceeds 1 %: {throttle.source} may be a share of 1 instead of per "
             "cent, as of other vehicles"
@@ -316,9 +345,7 @@ def _notes(
             f"the log is of SITL, SIM_RATE_HZ {rate_hz:g}, whose gyro filter depends on that rate: "
             f"respond --sitl-rate {rate_hz:g}"
         )
-    with suppress(Unavailable):
-        above_sea, above_home = (source(log) for source in log.home)
-        height = resample(above_sea, time[:1])[0] - resample(above_home, time[:1])[0]
+    if (height := home_height(log, time)) is not None:
         notes.append(
             f"home is {height:.0f} m above sea level: respond --origin-elevation {height:.0f}"
         )
@@ -327,11 +354,3 @@ def _notes(
 
 def _period(time: Array) -> float:
     return float(np.median(np.diff(time))) if len(time) > 1 else math.inf
-
-
-def write_flight(flight: ImportedFlight, write: Callable[[str], object]) -> None:
-    """Write a flight as CSV."""
-    write(",".join(flight.columns) + "\n")
-    numbers = [values.tolist() for values in flight.columns.values()]
-    for t, *row in zip(*numbers, strict=True):
-        write(",".join([f"{t:.10g}", *(f"{value:.6g}" for value in row)]) + "\n")

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,6 +73,33 @@ class Unavailable(Exception):
 ColumnSource = Callable[["FlightLog"], LogSeries]  # raises Unavailable
 
 
+class PositionFields(NamedTuple):
+    """Fields of a message that has a position, with their scales to degrees and m."""
+
+    message: str
+    latitude: str
+    longitude: str
+    height: str  # above sea level
+    angle_scale: float = 1.0
+    height_scale: float = 1.0
+
+
+class MotionSources(NamedTuple):
+    """Where a kind of log has positions, velocities and UNIX times, the preferred source first.
+
+    Attributes:
+        positions: messages with positions.
+        north: sources of the velocity to the north, m/s.
+        east: of that to the east.
+        unix: of UNIX time minus log time, s.
+    """
+
+    positions: tuple[PositionFields, ...]
+    north: tuple[ColumnSource, ...]
+    east: tuple[ColumnSource, ...]
+    unix: tuple[ColumnSource, ...]
+
+
 @dataclass(frozen=True, slots=True)
 class FlightLog:
     """A log of one vehicle, of either kind.
@@ -86,8 +114,11 @@ class FlightLog:
         columns: sources of each column, the preferred one first.
         remedy: how to get a missing message into such a log.
         home: sources of the altitudes above sea level and above home, m.
+        motion: sources of positions, ground velocities and UNIX time.
         clock_starts: times at which the vehicle's clock started again, s: another flight, of this
             aircraft or of another one.
+        receiver_start_unix_s: UNIX time of log time 0 by the clock of the receiver; None: the
+            autopilot wrote the log.
     """
 
     path: Path
@@ -99,7 +130,20 @@ class FlightLog:
     columns: Mapping[str, tuple[ColumnSource, ...]]
     remedy: str
     home: tuple[ColumnSource, ColumnSource]
+    motion: MotionSources
     clock_starts: tuple[float, ...] = ()
+    receiver_start_unix_s: float | None = None
+
+    def flight_numbers(self, time: Array) -> NDArray[np.int64]:
+        """Count the starts of the vehicle's clock before each time (M,)."""
+        return np.searchsorted(self.clock_starts, time, side="right")
+
+    def of_same_flight(self, series: LogSeries, time: Array) -> LogSeries | None:
+        """Take the values of the flight that has these times; None: there are none."""
+        same = self.flight_numbers(series.time) == self.flight_numbers(time[:1])
+        if not same.any():
+            return None
+        return replace(series, time=series.time[same], values=series.values[same])
 
 
 def increasing(time: Array) -> NDArray[np.bool_]:

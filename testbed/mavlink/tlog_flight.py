@@ -37,6 +37,7 @@ from testbed.mavlink.log_identity import (
     jumps_of_position,
     steps_back,
 )
+from testbed.mavlink.log_position import TELEMETRY
 from testbed.mavlink.servo_outputs import (
     SERVO_COLUMNS,
     output_source,
@@ -49,6 +50,7 @@ from testbed.mavlink.tlog_clock import Received, VehicleClock
 _ATTITUDE, _POSITION, _OUTPUTS = "ATTITUDE", "GLOBAL_POSITION_INT", "SERVO_OUTPUT_RAW"
 _HEARTBEAT = "HEARTBEAT"
 _REMEDY = "have it streamed (SRn_ parameters, or MAV_CMD_SET_MESSAGE_INTERVAL)"
+OTHER_SENDERS = "messages of other senders were left out"
 _AUTOPILOT = 1  # component
 _MIN_BACK = 0.01  # of the sequence numbers, which datagrams out of order do not reach
 _MAX_STEP_BACK, _DAY = 1.0, 86400.0  # s
@@ -67,10 +69,11 @@ _FIELDS_BY_MESSAGE: Mapping[str, tuple[str, ...]] = {
     "ATTITUDE": ("roll", "pitch", "yaw", "rollspeed", "pitchspeed", "yawspeed"),
     "NAV_CONTROLLER_OUTPUT": ("nav_roll", "nav_pitch"),
     "VFR_HUD": ("airspeed", "alt", "climb", "throttle"),
-    _POSITION: ("alt", "relative_alt", "vz"),
+    _POSITION: ("lat", "lon", "alt", "relative_alt", "vx", "vy", "vz"),
     _OUTPUTS: tuple(_output_field(n) for n in range(1, 17)),
     "RC_CHANNELS": tuple(_channel_field(n) for n in range(1, 19)),
     "AOA_SSA": ("AOA", "SSA"),
+    "SYSTEM_TIME": ("time_unix_usec",),
 }
 _ABOVE_FIRST = transformed_source(
     field_source("VFR_HUD", "alt"), lambda values: values - values[0], "{} above its first"
@@ -137,23 +140,41 @@ class _Vehicle:
             self.params[str(message.fields["param_id"])] = message.number("param_value")
 
 
-def read_log(path: Path, system: int | None = None) -> FlightLog:
-    """Read the .tlog of an ArduPlane flight; times are from its first record.
+@dataclass(frozen=True, slots=True)
+class TlogContents:
+    """The messages of all autopilots in a .tlog.
 
-    Radio links delay messages. Time stamps of the vehicle are used where messages have them;
-    others get the time of the stamped messages received around them.
+    Attributes:
+        path: the file.
+        records: that were read, with counts of damage.
+        vehicles: by system.
+        others: messages by system and component of other senders.
+        times: of receipt of all messages, s since the first one.
+        start_us: µs from 1970 to the first record.
+    """
 
-    Args:
-        path: the log.
-        system: id of the vehicle; None: the only one.
+    path: Path
+    records: Tlog
+    vehicles: Mapping[int, _Vehicle]
+    others: Mapping[tuple[int, int], int]
+    times: Array
+    start_us: int
+
+    @property
+    def systems(self) -> tuple[int, ...]:
+        """Ids of the autopilots that sent attitudes."""
+        return tuple(n for n, one in sorted(self.vehicles.items()) if _ATTITUDE in one.messages)
+
+
+def read_contents(path: Path) -> TlogContents:
+    """Read the messages of a .tlog.
 
     Raises:
-        MavlinkError: it cannot be read, does not have this vehicle or has several, also several
-            with one id, or the vehicle is not ArduPlane.
+        MavlinkError: it cannot be read.
     """
     records = Tlog(path)
     vehicles: dict[int, _Vehicle] = {}
-    others: Counter[tuple[int, int]] = Counter()  # messages by system and component
+    others: Counter[tuple[int, int]] = Counter()
     times: list[float] = []
     start = _start(records)
     for order, (time_us, message) in enumerate(records):
@@ -163,6 +184,24 @@ def read_log(path: Path, system: int | None = None) -> FlightLog:
             vehicle.add(Received(order, times[-1], message))
         elif message.name in _FIELDS_BY_MESSAGE:
             others[message.system, message.component] += 1
+    return TlogContents(path, records, vehicles, others, np.array(times), start)
+
+
+def make_log(contents: TlogContents, system: int | None = None) -> FlightLog:
+    """Make the log of an ArduPlane flight; times are from the first record.
+
+    Radio links delay messages. Time stamps of the vehicle are used where messages have them;
+    others get the time of the stamped messages received around them.
+
+    Args:
+        contents: of the .tlog.
+        system: id of the vehicle; None: the only one.
+
+    Raises:
+        MavlinkError: the log does not have this vehicle or has several, also several with one id,
+            or the vehicle is not ArduPlane.
+    """
+    path, vehicles, others = contents.path, contents.vehicles, contents.others
     number = _select_vehicle(path, vehicles, others, system)
     vehicle = vehicles[number]
     plane = _check_vehicle(path, vehicle)
@@ -179,7 +218,7 @@ def read_log(path: Path, system: int | None = None) -> FlightLog:
         tables[name], left_out[name] = _message_table(clock, messages, _FIELDS_BY_MESSAGE[name])
     total = len(vehicle.messages[_ATTITUDE])
     check_order(path, _ATTITUDE, total - left_out[_ATTITUDE], total)
-    received = np.array(times)
+    received = contents.times
     credible = [_has_credible_time(received, each.order) for each in vehicle.heartbeats]
     left_out[_HEARTBEAT] = credible.count(False)
     return FlightLog(
@@ -193,13 +232,15 @@ def read_log(path: Path, system: int | None = None) -> FlightLog:
             *_left_out_notes(vehicle, {n: v for n, v in vehicles.items() if n != number}, others),
             *order_notes(left_out, _HEARTBEAT),
             *_receiver_notes(received),
-            *_notes(records, vehicle.params),
+            *_notes(contents.records, vehicle.params),
         ),
         attitude=_ATTITUDE,
         columns=COLUMNS,
         remedy=_REMEDY,
         home=(field_source(_POSITION, "alt", 1e-3), field_source(_POSITION, "relative_alt", 1e-3)),
+        motion=TELEMETRY,
         clock_starts=clock.starts,
+        receiver_start_unix_s=1e-6 * contents.start_us,
     )
 
 
@@ -273,7 +314,7 @@ def _left_out_notes(
         for (system, component), count in sorted({**counts, **components}.items())
         if count
     )
-    notes = [f"messages of other senders were left out: {senders}"] if senders else []
+    notes = [f"{OTHER_SENDERS}: {senders}"] if senders else []
     if vehicle.other_ports:
         notes.append(
             f"{vehicle.other_ports} {_OUTPUTS} of other ports, outputs above the 16th, were left "

@@ -65,7 +65,8 @@ def facts(metrics: Metrics) -> list[tuple[str, str | Text]]:
         rows.append(("kappa measured", _kappa(metrics)))
     errors = describe_estimates(metrics["estimate_error"], metrics["relative_position_error_m"])
     rows.append(("estimate error, RMS", "\n".join(errors)))
-    rows.append(("wind", "\n".join(describe_wind(metrics["wind"]))))
+    if not metrics.get("recorded"):
+        rows.append(("wind", "\n".join(describe_wind(metrics["wind"]))))
     if any(each["max_wake_delta_cl"] for each in metrics["wind"].values()):
         throttle: Mapping[str, Any] = metrics["mean_throttle"]
         shares = [f"{name} {100.0 * each:.1f}" for name, each in throttle.items()]

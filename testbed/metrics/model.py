@@ -87,7 +87,7 @@ class LimiterFlagCounts(TypedDict):
     """Samples in which limiters of the law acted."""
 
     samples: Count
-    seconds: Number
+    seconds: Known  # null: a recorded flight, whose law is not known
     by_kind: Annotated[dict[str, Count], _keys("limiter_flags")]
 
 
@@ -95,7 +95,7 @@ class SaturationCounts(TypedDict):
     """Samples in which commands were saturated."""
 
     samples: Count
-    seconds: Number
+    seconds: Known  # null: see above
     by_kind: Annotated[dict[str, Count], _keys("saturations")]
 
 
@@ -306,6 +306,7 @@ class Metrics(SlotSpeed):
     published: PublishedNumbers | None
     events: list[LoggedEvent]
     recovered: NotRequired[bool]  # of a run whose log was cut
+    recorded: NotRequired[bool]  # of real aircraft: without law, messages and wind
     # of runs with external programs
     pace: NotRequired[PaceMetrics]
     mavlink: NotRequired[MavlinkTraffic]

@@ -176,13 +176,16 @@ def _error_table(metrics: Metrics, windows: Sequence[str], names: Sequence[str])
 def follower_tables(metrics: Metrics, names: Sequence[str]) -> list[Table]:
     """Make tables of joining, limiters and message age, of saturated commands, and of ringing.
 
-    The last one is absent if no bank rings.
+    The last one is absent if no bank rings; of recorded flights there is the time of joining alone.
     """
     joined, ages = metrics["joined_at_s"], metrics["age_of_information_s"]
     limits, saturations = metrics["limiter_flags"], metrics["saturations"]
     recovery = metrics["recovery"]
+    joining: Columns = {"joined\nat, s": [_joined(joined[name]) for name in names]}
+    if metrics.get("recorded"):
+        return [_follower_table("\nfollower", names, joining)]
     columns: Columns = {
-        "joined\nat, s": [_joined(joined[name]) for name in names],
+        **joining,
         "limiter\non, s": [_seconds(limits[name]["seconds"]) for name in names],
         "message\nage, ms": [_milliseconds(ages[name]["mean"]) for name in names],
     }
@@ -201,7 +204,7 @@ def follower_tables(metrics: Metrics, names: Sequence[str]) -> list[Table]:
     if any(each["seconds"] for each in metrics["ringing"].values()):
         found = [metrics["ringing"][name] for name in names]
         ringing: Columns = {
-            "any\ns": [ABSENT if (s := each["seconds"]) is None else _seconds(s) for each in found],
+            "any\ns": [_seconds(each["seconds"]) for each in found],
             "last\nat, s": [shown(each["last_s"], "{:.1f}") for each in found],
             "period\ns": [shown(each["period_s"], "{:.2f}") for each in found],
             "damping\nratio": [shown(each["damping_ratio"], "{:.2f}") for each in found],
@@ -301,7 +304,9 @@ def _headline(metrics: Metrics, width: int) -> list[Text]:
     """Scenario, outcome, times and seed, broken between these where a line is full."""
     outcome = (metrics["outcome"] or "in flight").replace("_", " ")
     begin_s = metrics.get("begin_s", 0.0)
-    time = f"{metrics['simulated_s'] - begin_s:.0f} s simulated"
+    recorded = metrics.get("recorded", False)
+    kind = "recorded" if recorded else "simulated"
+    time = f"{metrics['simulated_s'] - begin_s:.0f} s {kind}"
     if begin_s:
         time += f" from {begin_s:g} s"
     if metrics["wall_s"] is not None:
@@ -309,7 +314,9 @@ def _headline(metrics: Metrics, width: int) -> list[Text]:
     if (factor := metrics["real_time_factor"]) is not None:
         time += f" ({factor:.0f} × real time)" if factor >= 10.0 else f" ({factor:.1f} × real time)"
     style = OUTCOME_STYLES.get(metrics["outcome"] or "", "bold yellow")
-    parts = (Text(outcome, style=style), Text(time), Text(f"seed {metrics['seed']}"))
+    parts = [Text(outcome, style=style), Text(time)]
+    if not recorded:
+        parts.append(Text(f"seed {metrics['seed']}"))
     return join_parts(Text(str(metrics["scenario"]), "bold"), parts, width)
 
 
@@ -388,7 +395,9 @@ def _joined(at: float | None) -> Text | str:
     return Text("never", style="red") if at is None else f"{at:.1f}"
 
 
-def _seconds(value: float) -> str:
+def _seconds(value: float | None) -> str:
+    if value is None:
+        return ABSENT
     return f"{value:.1f}" if value else "0"
 
 
@@ -399,7 +408,7 @@ def _milliseconds(seconds: float | None) -> str:
 def _saturated_share(metrics: Metrics, name: str, kind: str) -> str:
     """Format the share of the samples in which a command was saturated, %."""
     found = metrics["saturations"][name]
-    period = found["seconds"] / found["samples"] if found["samples"] else 0.0
+    period = (found["seconds"] or 0.0) / found["samples"] if found["samples"] else 0.0
     # the first and the last sample count, too
     flown_s = metrics["simulated_s"] - metrics.get("begin_s", 0.0)
     samples = flown_s / period + 1.0 if period else 1.0

@@ -69,11 +69,14 @@ def head_html(run: RunData) -> str:
         out.append(f'<p class="question">{escape(run.scenario.scenario.question)}</p>')
     outcome = escape(run.outcome)
     line = [f'<span class="outcome {outcome}">{outcome.replace("_", " ")}</span>']
-    line.append(f"{metrics['simulated_s']:g} of {info.duration_s:g} s simulated")
+    recorded = metrics.get("recorded", False)
+    kind = "recorded" if recorded else "simulated"
+    line.append(f"{metrics['simulated_s']:g} of {info.duration_s:g} s {kind}")
     count = len(info.names) - 1
     line.append(f"{count} follower{'s' * (count != 1)} of {escape(info.names[0])}")
     line.append(escape(", ".join(sorted(set(info.aircraft)))))
-    line.append(f"seed {info.seed}")
+    if not recorded:
+        line.append(f"seed {info.seed}")
     out.append(f'<p class="meta">{" · ".join(line)}</p>')
     if not run.log.finished:
         out.append(
@@ -215,10 +218,15 @@ def _repeat(run: RunData) -> str:
     if not text:
         return "".join([*out, "<p>The log has no copy of the scenario.</p>"])
     file = f"{info.scenario_name}.yaml"
+    recorded = run.metrics.get("recorded", False)
     out.append(
-        "<p>Save the scenario below, which has all defaults written out, and run it with these"
-        f" versions:</p><pre>testbed run {escape(file)}</pre>"
+        "<p>Real aircraft flew this run: testbed import-formation made it from their logs. The"
+        " scenario below has the slots, and flies a simulation of the formation:</p>"
+        if recorded
+        else "<p>Save the scenario below, which has all defaults written out, and run it with these"
+        " versions:</p>"
     )
+    out.append(f"<pre>testbed run {escape(file)}</pre>")
     causes = [cause for key, cause in EXTERNAL.items() if run.metrics.get(key)]
     if causes:
         out.append(

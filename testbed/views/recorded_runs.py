@@ -167,7 +167,9 @@ def scene_and_batch(
     if len(batch) < 2:
         raise InputError("the two runs have no samples at the same times: nothing to overlay")
     begin, step = float(batch.time[0]), float(np.median(np.diff(batch.time)))
-    both = replace(overlay_scenes(scene, second_scene, LABELS), sample_rate_hz=1.0 / step)
+    real = _is_recorded(first), _is_recorded(second)
+    both = overlay_scenes(scene, second_scene, LABELS, real)
+    both = replace(both, sample_rate_hz=1.0 / step)
     titles = [
         Event(begin, "info", label, f"is {each.title}")
         for label, each in zip(LABELS, (scene, second_scene), strict=True)
@@ -186,6 +188,11 @@ def _visible_at(batch: ViewBatch, at_s: float) -> ViewBatch:
     begin = at_s - PLOT_WINDOW_S - SETTLED_S
     rows = slice(*np.searchsorted(batch.time, [begin, at_s + PLOT_AHEAD_S + 1e-6]).tolist())
     return replace(batch.rows(rows), events=batch.events)
+
+
+def _is_recorded(run: RunLog) -> bool:
+    """Return whether a run is a recorded flight of real aircraft."""
+    return bool(run.metrics and run.metrics.get("recorded"))
 
 
 def _send(sink: ViewSink, batch: ViewBatch) -> None:

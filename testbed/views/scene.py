@@ -60,6 +60,8 @@ class Scene:
     sample_rate_hz: float  # of the samples that are shown
     follow: int | None = None  # row of the aircraft that the first camera stays near
     runs: tuple[str, ...] = ()  # of two runs in one view: label, colour and name of each
+    # rows of real aircraft beside simulated ones, drawn translucent and without slots
+    ghosts: tuple[int, ...] = ()
 
 
 def scene_of(info: RunInfo, follow: str | None = None) -> Scene:
@@ -88,13 +90,19 @@ def scene_of(info: RunInfo, follow: str | None = None) -> Scene:
     )
 
 
-def overlay_scenes(first: Scene, second: Scene, labels: tuple[str, str]) -> Scene:
+def overlay_scenes(
+    first: Scene,
+    second: Scene,
+    labels: tuple[str, str],
+    recorded: tuple[bool, bool] = (False, False),
+) -> Scene:
     """Combine the scenes of two runs, distinct by colour; the cameras follow the first.
 
     Args:
         first: of the run whose formation the cameras follow.
         second: of the other run.
         labels: short names of the two, put before the names of aircraft.
+        recorded: whether each is a recorded flight; one beside a simulated one becomes ghosts.
     """
     count = len(first.names)
     shades = (FOLLOWERS[0], FOLLOWERS[1])  # blue and orange
@@ -109,6 +117,9 @@ def overlay_scenes(first: Scene, second: Scene, labels: tuple[str, str]) -> Scen
     runs = [each.scenario for each in (first, second)]
     if runs[0] == runs[1]:
         runs = [each.title for each in (first, second)]
+    runs = [f"{run}, recorded" if real else run for run, real in zip(runs, recorded, strict=True)]
+    rows = range(count), range(count, count + len(second.names))
+    ghosts = [row for k in range(2) if recorded[k] and not recorded[1 - k] for row in rows[k]]
     same_paths = len(first.paths) == len(second.paths) and all(
         np.array_equal(*pair) for pair in zip(first.paths, second.paths, strict=True)
     )
@@ -131,6 +142,7 @@ def overlay_scenes(first: Scene, second: Scene, labels: tuple[str, str]) -> Scen
             f"{label}, {shade}: {run}"
             for label, shade, run in zip(labels, ("blue", "orange"), runs, strict=True)
         ),
+        ghosts=tuple(ghosts),
     )
 
 

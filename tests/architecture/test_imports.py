@@ -84,6 +84,7 @@ LAYERS = {
     "plan": {*MODELS, *PARTS, "flight", "commands"},
     "trials": {*MODELS, *PARTS, "flight", "plan"},
     "runs": {"mavlink", "vehicle", "scenario", "metrics", "logs", "flight", "commands", "plan"},
+    "recordings": {"formation", "guidance", "mavlink", "scenario", "metrics", "logs", "plan"},
     "studies": {"autopilot", "mavlink", "logs", "metrics", "scenario", "plan", "runs", "trials"},
     "rl": {"scenario", "flight", "commands", "runs"},
     "cli": None,  # the command line uses all of them, and nothing uses it

@@ -41,12 +41,18 @@ LONG = (
     "docs/air.md",
     "docs/autopilot.md",
     "docs/export.md",
+    "docs/from-a-log.md",
     "docs/network.md",
     "docs/own-aircraft.md",
 )
 # Duration of flights in shell snippets, s; long where output of a flight is pasted.
 SHORT_S, LONG_S = 15.0, 100.0
-PAGES_WITH_FLIGHT_OUTPUT = ("docs/air.md", "docs/export.md", "docs/run.md")
+PAGES_WITH_FLIGHT_OUTPUT = (
+    "docs/air.md",
+    "docs/export.md",
+    "docs/from-a-log.md",
+    "docs/run.md",
+)
 BLOCK = re.compile(r'^```(\w+)(?: title="([\w./-]+)")?\n(.*?)^```$', re.M | re.S)
 
 # A `testbed` that ends flights early, checks one seed and needs no viewer. Options added at the
@@ -139,7 +145,10 @@ def new_folder(tmp_path_factory):
         client.write_text(CLIENT)
         command = folder / "bin" / "testbed"
         command.write_text(WRAPPER.format(long_s=LONG_S, python=sys.executable, client=client))
-        command.chmod(command.stat().st_mode | stat.S_IXUSR)
+        python = folder / "bin" / "python"
+        python.write_text(f'#!/bin/sh\nexec "{sys.executable}" "$@"\n')
+        for each in (command, python):
+            each.chmod(each.stat().st_mode | stat.S_IXUSR)
         return folder
 
     return make

@@ -95,9 +95,10 @@ def test_overlay_of_different_laws_and_rates(barriers):
         if isinstance(value, tuple)
         else value[::5]
         for name, value in vars(two).items()
-        if name not in ("info", "events")
+        if name not in ("info", "events", "metrics")
     }
-    still, batch = scene_and_batch(one, SimpleNamespace(info=two.info, events=(), **slow))
+    other = SimpleNamespace(info=two.info, events=(), metrics=None, **slow)
+    still, batch = scene_and_batch(one, other)
     assert still.sample_rate_hz == pytest.approx(5.0) and len(batch) == 50
     assert [event.source for event in batch.events] == ["A", "B"]
     barrier, speed = plot(still, "barrier"), plot(still, "speed")

@@ -174,4 +174,5 @@ def log(aircraft: int, duration_s: float) -> SimpleNamespace:
         time_s=np.array([sample.time_s for sample in flown]),
         lost=np.stack([sample.lost for sample in flown]),
         events=tuple(event for sample in flown for event in sample.events),
+        metrics=None,
     )

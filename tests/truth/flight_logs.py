@@ -4,6 +4,8 @@ DataFlash follows the public description of the format; frames are pymavlink's.
 """
 
 import struct
+import sys
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +15,8 @@ ROOT = Path(__file__).parents[2]
 RECORDING = ROOT / "tests" / "data" / "arduplane_fbwa_rascal_steps.csv"
 HOME = 300.0  # m above sea level
 FBWA, AUTO = 5, 10
+GPS_EPOCH = datetime(1980, 1, 6, tzinfo=UTC)
+LEAP_S = 18  # GPS time ahead of UTC since 2017
 ATTITUDE = ("phi_rad", "theta_rad", "psi_rad")
 PARAMS = {
     "STAB_PITCH_DOWN": 2.0,
@@ -65,6 +69,11 @@ FORMATS = {
     "POS": (10, "QLLfff", "TimeUS,Lat,Lng,Alt,RelHomeAlt,RelOriginAlt"),
     "GPS": (11, "QBef", "TimeUS,I,Alt,VZ"),
     "AOA": (12, "Qff", "TimeUS,AOA,SSA"),
+}
+# With all fields of position, velocity and time.
+WITH_POSITION = FORMATS | {
+    "GPS": (11, "QBBIHBcLLefffB", "TimeUS,I,Status,GMS,GWk,NSats,HDop,Lat,Lng,Alt,Spd,GCrs,VZ,U"),
+    "XKF1": (13, "QBfff", "TimeUS,C,VN,VE,VD"),
 }
 OLD_ATT = (4, "QccccCC", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw")
 
@@ -121,7 +130,7 @@ def write_dataflash(path, rows, *, params=PARAMS, modes=((0.0, FBWA),), text="",
         )
         log.add("RCOU", us, *(int(row[n]) for n in ("pwm_ail", "pwm_ele", "pwm_thr", "pwm_rud")))
         altitude = row["altitude_m"]
-        log.add("POS", us, 380000000, 0, altitude + HOME, altitude, altitude)
+        log.add("POS", us, 0, 0, altitude + HOME, altitude, altitude)
         log.add("GPS", us, 0, altitude + HOME, row["v_down_mps"])
         log.add("AOA", us, np.degrees(row["alpha_rad"]), np.degrees(row["beta_rad"]))
     path.write_bytes(log.bytes)
@@ -187,3 +196,80 @@ def write_tlog(path, *streams):
         for us, frame in [(EPOCH_US, first), *records]:
             file.write(struct.pack(">Q", us) + frame)
     return path
+
+
+def gps_time(unix_s):
+    """Return week and ms of the week, of GPS time."""
+    ms = round(1e3 * (unix_s - GPS_EPOCH.timestamp() + LEAP_S))
+    return divmod(ms, 7 * 86400 * 1000)
+
+
+def write_run_dataflash(path, log, name, *, boot_s=0.0, unix_s=1_777_627_800.0, without=()):
+    """Write the .bin that the autopilot of an aircraft of a run would have written.
+
+    Args:
+        path: of the file.
+        log: of the run, as `testbed.logs.read.read_log` reads it.
+        name: of the aircraft.
+        boot_s: time of the autopilot's clock at the beginning of the run.
+        unix_s: UNIX time of the beginning, 2026-05-01T09:30:00Z.
+        without: messages that are left out.
+    """
+    from testbed.core.geodetic import geodetic_from_ned
+
+    k = log.info.names.index(name)
+    truth = log.truth
+    geodetic = geodetic_from_ned(truth.position_ned[:, k], log.info.origin)
+    command, surfaces = log.command, log.surfaces
+    file = DataFlash(WITH_POSITION, left_out=without)
+    file.add("MSG", 0, b"ArduPlane V4.7.0-dev")
+    for parameter, value in PARAMS.items():
+        file.add("PARM", 0, parameter.encode(), value, value)
+    file.add("MODE", round(1e6 * boot_s), AUTO if k == 0 else FBWA, AUTO if k == 0 else FBWA, 0)
+    for i, t in enumerate(log.time_s):
+        us = round(1e6 * (t + boot_s))
+        roll, pitch, yaw = truth.euler[i, k]
+        north, east, down = truth.velocity_ned[i, k]
+        lat, lng, height = geodetic[i]
+        e7 = round(1e7 * lat), round(1e7 * lng)
+        throttle = surfaces.throttle[i, k]
+        demand = demands_deg(
+            {
+                "throttle_cmd": throttle,
+                "phi_cmd_rad": command.roll[i, k],
+                "theta_cmd_rad": command.pitch[i, k],
+                "theta_rad": pitch,
+                "phi_rad": roll,
+            }
+        )
+        angles = np.degrees([roll, pitch, yaw % (2.0 * np.pi)])
+        file.add("ATT", us, demand[0], angles[0], demand[1], angles[1], 0.0, angles[2], 0)
+        file.add("IMU", us, 0, *truth.rates_body[i, k], 0.0, 0.0, -9.8)
+        equivalent = truth.equivalent_airspeed[i, k]
+        file.add("ARSP", us, 0, equivalent)
+        ratio = truth.airspeed[i, k] / equivalent
+        file.add("CTUN", us, 0, 0, 0, 0, 100.0 * throttle, 0.0, equivalent, ratio)
+        pulses = 500.0 * np.array(
+            [surfaces.aileron[i, k], -surfaces.elevator[i, k], -surfaces.rudder[i, k]]
+        )
+        aileron, elevator, rudder = (round(1500.0 + each) for each in pulses)
+        file.add("RCOU", us, aileron, elevator, round(1000.0 + 1000.0 * throttle), rudder)
+        above = height - log.info.origin.elevation_m
+        file.add("POS", us, *e7, height, above, above)
+        file.add("XKF1", us, 0, north, east, down)
+        if i % 5 == 0:
+            week, ms = gps_time(unix_s + t)
+            speed, course = np.hypot(north, east), np.degrees(np.arctan2(east, north)) % 360.0
+            fix = (us, 0, 3, ms, week, 12, 1.0, *e7, height, speed, course, down, 1)
+            file.add("GPS", *fix)
+    Path(path).write_bytes(file.bytes)
+
+
+if __name__ == "__main__":
+    from testbed.logs.read import read_log
+    from testbed.logs.run_directory import find_run
+
+    run, *names = sys.argv[1:]
+    recorded_run = read_log(find_run(run))
+    for number, each in enumerate(names or recorded_run.info.names):
+        write_run_dataflash(f"{each}.bin", recorded_run, each, boot_s=20.0 + 7.3 * number)

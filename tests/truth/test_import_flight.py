@@ -26,7 +26,7 @@ from flight_logs import (
 )
 from typer.testing import CliRunner
 
-from testbed.cli.export import import_command
+from testbed.cli.flight_logs import import_command
 from testbed.cli.main import app
 from testbed.core.errors import InputError
 from testbed.mavlink import dataflash, tlog_flight

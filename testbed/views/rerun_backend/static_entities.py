@@ -33,6 +33,7 @@ RINGS = ((400.0, 0.0), (1500.0, 0.35), (5000.0, 0.8), (40000.0, 1.0))  # radius,
 RING_POINTS = 48
 BELOW_GRID = 1.0  # m, of the ground: lines in its plane would flicker
 GHOST_ALPHA, DISC_ALPHA = 60, 70  # of 255
+REAL_ALPHA = 130  # of real aircraft beside simulated ones
 
 Entity = tuple[str, tuple[rr.AsComponents, ...]]  # path and components
 
@@ -52,9 +53,12 @@ def static_entities(
         tabs: rows of plots.
     """
     yield "world", (rr.ViewCoordinates.FRD,)
-    for name, drawing, paint in zip(scene.names, drawings, scene.colours, strict=True):
-        yield from _aircraft(name, drawing, paint, framing.size)
-    for row in scene.followers:
+    for row, (name, drawing, paint) in enumerate(
+        zip(scene.names, drawings, scene.colours, strict=True)
+    ):
+        alpha = REAL_ALPHA if row in scene.ghosts else 255
+        yield from _aircraft(name, drawing, paint, framing.size, alpha)
+    for row in (row for row in scene.followers if row not in scene.ghosts):
         faded = mix(scene.colours[row], BACKDROP, 0.5)
         ghost = painted(drawings[row].body, faded, faded, GHOST_ALPHA)
         drawn = f"world/slots/{scene.names[row]}/drawn"
@@ -79,15 +83,17 @@ def static_entities(
         yield from _axes(plot)
 
 
-def _aircraft(name: str, drawing: AirframeDrawing, paint: Colour, size: float) -> Iterator[Entity]:
+def _aircraft(
+    name: str, drawing: AirframeDrawing, paint: Colour, size: float, alpha: int
+) -> Iterator[Entity]:
     at, trim = f"world/aircraft/{name}", secondary_colour(paint)
     yield f"{at}/drawn", (rr.Transform3D(scale=size),)
-    yield f"{at}/drawn/body", (painted(drawing.body, paint, trim),)
+    yield f"{at}/drawn/body", (painted(drawing.body, paint, trim, alpha),)
     if drawing.disc is not None:
-        yield f"{at}/drawn/disc", (painted(drawing.disc, paint, trim, DISC_ALPHA),)
+        yield f"{at}/drawn/disc", (painted(drawing.disc, paint, trim, min(alpha, DISC_ALPHA)),)
     for surface in drawing.control_surfaces:
         hinge = rr.Transform3D(translation=surface.hinge)
-        yield f"{at}/drawn/{surface.name}", (painted(surface.mesh, paint, trim), hinge)
+        yield f"{at}/drawn/{surface.name}", (painted(surface.mesh, paint, trim, alpha), hinge)
     marker = rr.Points3D([0.0, 0.0, 0.0], radii=rr.Radius.ui_points(3.5), colors=paint)
     yield f"{at}/marker", (marker,)
     # the points of a trail come later

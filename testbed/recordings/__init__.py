@@ -1,0 +1,1 @@
+"""Recordings of real flights: their columns, CSV from elsewhere, and formations of several."""
