@@ -110,14 +110,14 @@ def copy_aircraft(source: Path, folder: Path, shared: Path) -> CopiedAircraft:
     copied = CopiedAircraft(folder / f"{folder.name}.xml")
     search = _Search(source.resolve().parent, shared)
     problems: list[str] = []
-    waiting = [(source, copied.main, (MAIN,))]
+    waiting = [(source, copied.main)]
     contents: dict[Path, bytes] = {}
     while waiting:
-        original, copy, kinds = waiting.pop(0)
+        original, copy = waiting.pop(0)
         if copy in contents:
             continue
         try:
-            scan = _Scan(original, is_main=kinds == (MAIN,))
+            scan = _Scan(original, is_main=copy == copied.main)
         except AircraftError as error:
             problems.append(str(error))
             contents[copy] = b""
@@ -132,7 +132,7 @@ def copy_aircraft(source: Path, folder: Path, shared: Path) -> CopiedAircraft:
             except AircraftError as error:
                 problems.append(str(error))
                 continue
-            waiting.append((found, folder / where, ()))
+            waiting.append((found, folder / where))
         if len(contents) > MAX_FILES:
             problems.append(f"{source}: names more than {MAX_FILES} files")
             break
@@ -193,7 +193,8 @@ def _declaration(names: list[str]) -> bytes:
 
 def _first_section(file: Path, data: bytes) -> int:
     """Return where the first section of the aircraft begins that JSBSim calculates with."""
-    parser, found = expat.ParserCreate(), []
+    parser = expat.ParserCreate()
+    found: list[int] = []
 
     def begin(name: str, _: Mapping[str, str]) -> None:
         if name == "metrics" and not found:
@@ -240,7 +241,7 @@ class _Scan:
         if b"\0" in self.data:
             raise AircraftError(f"{file}:1: is not UTF-8 or ASCII (save the file as UTF-8)")
         _parse(parser, self.data, file)
-        if self._spans:  # an attribute may use an entity of the DOCTYPE
+        if self._spans and not self.problems:  # an attribute may use an entity
             _parse(expat.ParserCreate(), self.remaining(), file)
 
     def remaining(self) -> bytes:
