@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from testbed.trials.new_aircraft import DerivedAircraft
+    from testbed.vehicle.trim import TrimResult
     from testbed.vehicle.airframe_import import CopiedAircraft
 
 PICTURE = "envelope.png"
@@ -123,13 +124,18 @@ def _draw(path: Path, found: DerivedAircraft) -> None:
         "m/s; shaded: speeds of the autopilot",
         airspeed=speeds,
         throttle=np.array([each.controls.throttle for each in trims]),
-        sink=None,
+        sink=np.array([_sink(each) for each in trims]) if found.envelope.glides else None,
         alpha_deg=np.degrees([each.alpha for each in trims]),
         elevator=np.array([each.controls.elevator for each in trims]),
         cruise=level.airspeed,
         autopilot=(params.airspeed_min * eas2tas, params.airspeed_max * eas2tas),
     )
     save_figure(envelope_figure(data), path)
+
+
+def _sink(trim: TrimResult) -> float:
+    """Return the rate of descent of a trim, m/s."""
+    return -trim.point.airspeed * math.sin(trim.point.flight_path_angle)
 
 
 def _changes(copied: CopiedAircraft) -> list[str]:
@@ -144,8 +150,11 @@ def _changes(copied: CopiedAircraft) -> list[str]:
 
 def _level_table(found: DerivedAircraft) -> Table:
     table = ruled_table()
-    table.add_column(Text("\nlevel flight", style="bold"), no_wrap=True)
-    for name in ("airspeed\nm/s", "throttle\n", "alpha\n°", "elevator\n"):
+    glides = found.envelope.glides
+    kind = "glide" if glides else "level flight"
+    table.add_column(Text(f"\n{kind}", style="bold"), no_wrap=True)
+    power = "sink\nm/s" if glides else "throttle\n"
+    for name in ("airspeed\nm/s", power, "alpha\n°", "elevator\n"):
         table.add_column(name, justify="right", no_wrap=True)
     trims = found.envelope.trims
     rows = {"slowest": trims[0], "cruise": found.envelope.cruise, "fastest": trims[-1]}
@@ -153,7 +162,7 @@ def _level_table(found: DerivedAircraft) -> Table:
         table.add_row(
             name,
             f"{each.point.airspeed:.1f}",
-            f"{each.controls.throttle:.3f}",
+            f"{_sink(each):.2f}" if glides else f"{each.controls.throttle:.3f}",
             f"{math.degrees(each.alpha):.1f}",
             f"{each.controls.elevator:+.3f}",
         )
@@ -220,6 +229,7 @@ def _document(folder: Path, copied: CopiedAircraft, found: DerivedAircraft) -> d
             {
                 "airspeed_mps": each.point.airspeed,
                 "throttle": each.controls.throttle,
+                "climb_mps": -_sink(each),
                 "alpha_deg": math.degrees(each.alpha),
                 "elevator": each.controls.elevator,
             }

@@ -1,13 +1,12 @@
 """The speeds at which an aircraft flies level: trims from the slowest to the fastest.
 
 The slowest level flight has the wing at its largest lift or a control at its end; the fastest has
-full throttle. Both are found to 1 % by halving.
+full throttle. Both are found to 2 % by halving. A glider descends at each speed.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,9 +14,14 @@ from testbed.core.records import NedOrigin
 from testbed.vehicle.jsbsim_adapter import airframe, trim_aircraft
 from testbed.vehicle.trim import TrimError, TrimResult
 
-_GROWTH = 1.1  # from one speed to the next
+_GROWTH = 1.2  # from one speed to the next
 _LEAST, _MOST = 0.3, 3.0  # of the cruise: the search ends there
-_HALVINGS = 3  # of a step: 1 %
+_HALVINGS = 3  # of a step: 2 %
+
+
+def requested(trim: TrimResult) -> TrimPoint:
+    """Return the point that a trim of straight flight was asked for: level, also of a glider."""
+    return replace(trim.point, flight_path_angle=0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,12 +41,16 @@ class Envelope:
         """The fastest level flight, m/s, true."""
         return self.trims[-1].point.airspeed
 
+    @property
+    def glides(self) -> bool:
+        """Whether the aircraft has no engine: what is level of others is a descent."""
+        return self.cruise.point.flight_path_angle != 0.0
+
 
 def find_envelope(
     folder: Path,
     cruise: TrimResult,
     origin: NedOrigin,
-    report: Callable[[int, int], None] = lambda done, total: None,
 ) -> Envelope:
     """Find the slowest and the fastest level flight of the aircraft in a folder.
 
@@ -50,18 +58,12 @@ def find_envelope(
         folder: of the aircraft.
         cruise: a trim, from which the search begins.
         origin: of the trims.
-        report: called with the number of trims, and that of all that there may be.
     """
     stall = airframe(folder).stall_angle
     found = [cruise]
-    total = 2 * (_HALVINGS + round(math.log(_MOST / _LEAST) / math.log(_GROWTH) / 2))
-    done = 0
 
     def flies(airspeed: float) -> bool:
-        nonlocal done
-        done += 1
-        report(done, total)
-        point = replace(cruise.point, airspeed=airspeed)
+        point = replace(requested(cruise), airspeed=airspeed)
         try:
             result = trim_aircraft(folder, point, origin)
         except TrimError:

@@ -16,7 +16,7 @@ from testbed.core.frames import GRAVITY
 from testbed.core.records import NedOrigin
 from testbed.scenario import MiddleLoopGains
 from testbed.trials.check_flight import CheckFlight, check_and_soften
-from testbed.trials.envelope import Envelope, find_envelope
+from testbed.trials.envelope import Envelope, find_envelope, requested
 from testbed.trials.first_gains import (
     LevelFlight,
     first_guidance,
@@ -71,15 +71,16 @@ def derive(
     report("trim")
     cruise = find_cruise(folder, airspeed)
     report(f"speed range, from {cruise.point.airspeed:.4g} m/s")
-    _, origin = start_of(cruise.point)
+    point = requested(cruise)
+    _, origin = start_of(point)
     envelope = find_envelope(folder, cruise, origin)
     level = _level_flight(folder, envelope, origin)
     report("step responses")
-    steps = measure_steps(folder, cruise.point)
+    steps = measure_steps(folder, point)
     report("60 s of fly-by-wire A")
     flights: list[CheckFlight] = []
     params = first_params(steps, level)
-    check = check_and_soften(folder, cruise.point, params, flights.append)
+    check = check_and_soften(folder, point, params, flights.append)
     if check.problem:
         raise InputError(
             f"{folder.name}: trims at {cruise.point.airspeed:.4g} m/s, but {check.problem}, with "
@@ -151,10 +152,10 @@ def _level_flight(folder: Path, envelope: Envelope, origin: NedOrigin) -> LevelF
         except TrimError:
             return None
 
-    point = cruise.point
+    point = requested(cruise)
     slow, fast = (beside(replace(point, airspeed=speed + each)) for each in (-change, change))
     banked = beside(replace(point, bank=_BANK))
-    climbing = beside(replace(point, flight_path_angle=_CLIMB))
+    climbing = None if envelope.glides else beside(replace(point, flight_path_angle=_CLIMB))
     throttle = cruise.controls.throttle
     low, high = (each or cruise for each in (slow, fast))
     between = high.point.airspeed - low.point.airspeed

@@ -60,11 +60,10 @@ class _Flown(NamedTuple):
 
 
 def start_of(point: TrimPoint) -> tuple[InitialState, NedOrigin]:
-    """Return a start in a trim, far above the ground, and the origin."""
+    """Return a start in a level trim, far above the ground, and the origin."""
     start = InitialState(
         (0.0, 0.0, -ABOVE_GROUND),
         airspeed=point.airspeed,
-        flight_path_angle=point.flight_path_angle,
         bank=point.bank,
     )
     return start, NedOrigin(elevation_m=point.altitude - ABOVE_GROUND)
@@ -81,7 +80,7 @@ def measure_steps(folder: Path, point: TrimPoint) -> StepResponses:
     fleet = JsbsimFleet([folder] * (3 + len(RUDDER_MIXES)), [start] * (3 + len(RUDDER_MIXES)),
                         origin, RATE_HZ)  # fmt: skip
     first = fleet.read()
-    has_engine = fleet.trims[0].controls.throttle > 0.0
+    has_engine = fleet.trims[0].point.flight_path_angle == 0.0  # a glider's is what it flies
     held = fleet.trimmed
     surfaces = ActuatorCommand(*(each.copy() for each in held))
     mixed = slice(3, None)
