@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from testbed.trials.new_aircraft import DerivedAircraft
-    from testbed.vehicle.trim import TrimResult
     from testbed.vehicle.airframe_import import CopiedAircraft
+    from testbed.vehicle.trim import TrimResult
 
 PICTURE = "envelope.png"
 

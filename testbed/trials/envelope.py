@@ -12,7 +12,7 @@ from pathlib import Path
 
 from testbed.core.records import NedOrigin
 from testbed.vehicle.jsbsim_adapter import airframe, trim_aircraft
-from testbed.vehicle.trim import TrimError, TrimResult
+from testbed.vehicle.trim import TrimError, TrimPoint, TrimResult
 
 _GROWTH = 1.2  # from one speed to the next
 _LEAST, _MOST = 0.3, 3.0  # of the cruise: the search ends there
