@@ -75,9 +75,10 @@ def trim_command(
 
     folder = find_aircraft(aircraft)
     point, origin = _trim_point(airspeed, climb, bank, altitude)
+    _show_warnings(folder)
     result = trim_aircraft(folder, point, origin)
     document = {"aircraft": folder.name, **trim_document(result)}
-    _write_result(json, document, _headline(folder, point), _trim_table(result))
+    _write_result(json, document, _headline(folder, result.point), _trim_table(result))
 
 
 def linearize_command(
@@ -95,18 +96,27 @@ def linearize_command(
 
     folder = find_aircraft(aircraft)
     point, origin = _trim_point(airspeed, climb, bank, altitude)
+    _show_warnings(folder)
     linear = linearize_aircraft(folder, point, origin)
-    modes = find_modes(linear.a)
+    modes = find_modes(linear.a, linear.states)
+    units = dict(zip(STATES, UNITS, strict=True))
     document = {
         "aircraft": folder.name,
         "trim": trim_document(linear.trim),
-        "states": dict(zip(STATES, UNITS, strict=True)),
+        "states": {state: units[state] for state in linear.states},
         "controls": list(CONTROLS),
         "a": linear.a.tolist(),
         "b": linear.b.tolist(),
         "modes": [_mode_document(mode) for mode in modes],
     }
-    _write_result(json, document, _headline(folder, point), _modes_table(modes))
+    _write_result(json, document, _headline(folder, linear.trim.point), _modes_table(modes))
+
+
+def _show_warnings(folder: Path) -> None:
+    from testbed.vehicle.jsbsim_adapter import airframe_warnings
+
+    for text in airframe_warnings(folder):
+        message_console().write_line(f"warning: {text}")
 
 
 def _write_result(
@@ -144,6 +154,7 @@ def step_command(
     gains = load_middle_loop(folder, profile)
     params = read_params(find_tune(folder, param))
     before = gains.trim_airspeed_mps if airspeed is None else airspeed
+    _show_warnings(folder)
     response = speed_step(
         folder,
         gains,
@@ -279,8 +290,8 @@ def trim_document(result: TrimResult) -> dict[str, Any]:
         "elevator": controls.elevator,
         "aileron": controls.aileron,
         "rudder": controls.rudder if result.has_rudder else None,
-        "throttle": controls.throttle,
-        "propeller_rpm": 60.0 * result.propeller_rps,
+        "throttle": controls.throttle if result.has_engine else None,
+        "propeller_rpm": None if math.isnan(result.propeller_rps) else 60.0 * result.propeller_rps,
         "residual": result.residual,
     }
 
@@ -297,7 +308,7 @@ def _trim_point(
 
 def _headline(folder: Path, point: TrimPoint) -> Text:
     line = Text.assemble(" ", (folder.name, "bold"), f" · {point.airspeed:g} m/s")
-    line.append(f" · flight path {math.degrees(point.flight_path_angle):g}°")
+    line.append(f" · flight path {round(math.degrees(point.flight_path_angle), 2):g}°")
     line.append(f" · bank {math.degrees(point.bank):g}° · altitude {point.altitude:g} m")
     return line
 
@@ -318,7 +329,9 @@ def _trim_table(result: TrimResult) -> Table:
         position = "none" if values[control] is None else f"{values[control]:+.4f}"
         table.add_row(f" {label}", f"{values[angle]:.3f}°", control, position)
     turn = f"{values['turn_rate_deg_s']:.3f}°/s"
-    table.add_row(" turn rate", turn, "propeller", f"{values['propeller_rpm']:.0f} rpm")
+    rpm = values["propeller_rpm"]
+    propeller = "none" if rpm is None else f"{rpm:.0f} rpm"
+    table.add_row(" turn rate", turn, "propeller", propeller)
     turn_radius = MISSING if radius is None else f"{radius:.1f} m"
     table.add_row(" turn radius", turn_radius, "load factor", f"{values['load_factor']:.4f}")
     bound = 10.0 ** math.ceil(math.log10(max(result.residual, 1e-15)))

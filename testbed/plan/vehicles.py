@@ -33,6 +33,7 @@ from testbed.scenario.sections import Rates
 from testbed.vehicle.compiled import NotTranslated
 from testbed.vehicle.compiled_fleet import CompiledFleet, find_engines
 from testbed.vehicle.fleet import FlightModels
+from testbed.vehicle.jsbsim_adapter import airframe_warnings
 from testbed.vehicle.trim import InitialState, error_prefix
 from testbed.vehicle.unicycle import make_unicycles
 from testbed.vehicle.workers import make_fleet
@@ -176,6 +177,14 @@ def gust_input_warnings(
             yield Event(0.0, "warning", fleet.names[row], text)
 
 
+def airframe_notes(fleet: Fleet) -> Iterator[Event]:
+    """Warn of what is unlikely about an aircraft, or what it lacks."""
+    for each in fleet.aircraft:
+        if each.has_model:
+            for text in airframe_warnings(each.folder):
+                yield Event(0.0, "warning", each.name, text)
+
+
 def engine_notes(models: FlightModels | None) -> Iterator[Event]:
     """Say why JSBSim steps the flight models, where the choice is open."""
     if models is not None and models.engine == "jsbsim" and models.engine_reason:
@@ -213,6 +222,7 @@ def _build_models(
             start,
             state_of_charge=each.section.battery.state_of_charge,
             cells=each.section.battery.cells or 0,
+            fuel_burn=each.section.fuel_burn,
             temperature_offset=warmer,
         )
         for each, start in zip(modelled, starts, strict=True)

@@ -53,6 +53,7 @@ from testbed.plan.radio import build_radio, transmit_times
 from testbed.plan.resources import check_memory
 from testbed.plan.user_code import with_stored_code
 from testbed.plan.vehicles import (
+    airframe_notes,
     build_jsbsim_vehicles,
     build_single_start,
     build_starts,
@@ -227,6 +228,7 @@ def build(
             *(Event(0.0, "info", "run", text) for text in control.messages),
             *engine_notes(vehicles.fleet),
             *gust_input_warnings(fleet, vehicles.fleet, steady_air=air.steady),
+            *airframe_notes(fleet),
             *still_field_warnings(scenario.air),
             *temperature_warnings(fleet, warmer, height),
             *unusual_warnings(scenario),
@@ -311,6 +313,7 @@ def build_single(flight: SingleAircraft) -> World:
         initial_events=(
             *engine_notes(jsbsim.fleet),
             *gust_input_warnings(fleet, jsbsim.fleet, steady_air=air.steady),
+            *airframe_notes(fleet),
             *still_field_warnings(flight.air),
             *unusual_warnings(flight),
             *step_warnings(fleet, flight.rates, jsbsim.fleet),

@@ -347,6 +347,11 @@ class AircraftSection(Section):
         description="Autopilot parameters: <tune>.param of the airframe, or the path of a file.",
     )
     battery: Battery = Field(Battery(), description="Battery, if the airframe has one.")
+    fuel_burn: Flag = Field(
+        False,
+        description="true: its engines burn fuel, and its mass falls; false: its mass is that of "
+        "its trim throughout.",
+    )
     sensors: Sensors = Field(
         TRUTH,
         description="Errors of its state estimate: truth, gps-ins, pixhawk, degraded, or a map; a "

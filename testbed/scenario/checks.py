@@ -59,6 +59,7 @@ def cross_check(scenario: Sections) -> list[Finding]:
         *_ardupilot(scenario),
         *_external(scenario),
         *_faults(scenario),
+        *_fuel(scenario),
         *_limits(scenario),
         *check_network(scenario),
         *check_air(scenario.air),
@@ -393,6 +394,12 @@ def _faults(scenario: Sections) -> Iterator[Finding]:
                 yield (*where, "declared"), f"{_NOT_DECLARABLE[fault.kind]} (leave this out)"
             if reason:
                 yield from _fault_without_flight_model(where, fault, reason, cure)
+
+
+def _fuel(scenario: Sections) -> Iterator[Finding]:
+    for at, aircraft in _aircraft(scenario):
+        if aircraft.fuel_burn and _no_flight_model(aircraft)[0]:
+            yield (*at, "fuel_burn"), "is true, and this aircraft has no engine (leave it out)"
 
 
 def _fault_beginning(at: KeyPath, fault: AnyFault, duration: float) -> Iterator[Finding]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import difflib
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -18,18 +18,23 @@ from xml.parsers import expat
 
 from testbed.core.input_files import read_bounded
 from testbed.vehicle.airframe_grammar import (
-    ENGINES,
     GRAMMAR,
     MAIN,
-    THRUSTERS,
     Element,
     Name,
     Text,
     property_problem,
     row_of,
 )
+from testbed.vehicle.airframe_power import (
+    AirframeFault,
+    FileLine,
+    PowerParts,
+    kind_faults,
+    pair_faults,
+)
 from testbed.vehicle.forked_trial import ForkedResult, Work, run_forked
-from testbed.vehicle.jsbsim_model import AircraftError
+from testbed.vehicle.powerplant import AircraftError
 
 MAX_BYTES = 10_000_000  # of a file
 MAX_FILES = 100
@@ -47,21 +52,7 @@ _REMEDIES = {
 _CHECKED = (Text.WRITES, Text.POSITIVE, Text.NOT_NEGATIVE)
 _POUNDS = {"": 1.0, "LBS": 1.0, "KG": 2.2046226218}
 
-# What the testbed flies: one engine and its thruster, of these kinds. The others have the words for
-# the error.
-_FLOWN_ENGINES = ("electric_engine", "brushless_dc_motor")
-_FLOWN_THRUSTERS = ("propeller",)
-_WORDS = {
-    "piston_engine": "a piston engine",
-    "turbine_engine": "a turbine",
-    "turboprop_engine": "a turboprop",
-    "rocket_engine": "a rocket",
-    "nozzle": "a nozzle",
-    "rotor": "a rotor",
-    "direct": "a direct thrust",
-}
-_FLIES = "the testbed flies aircraft with one electric engine and its propeller"
-_REMEDY = "write <electric_engine> or <brushless_dc_motor>, and <propeller>"
+_MOST_FAULTS = 50  # in a message
 
 
 def probe_in_copy(folder: Path, probe: Work) -> Callable[[], Any]:
@@ -94,35 +85,45 @@ def _result(folder: Path, wait: Callable[[], ForkedResult]) -> Any:  # noqa: ANN
     raise AircraftError(text if text.startswith(f"{folder}/") else f"{main}: {text}")
 
 
-class FileLine(NamedTuple):
-    """A line of a file."""
-
-    file: Path
-    line: int
-
-    def __str__(self) -> str:
-        """Return the place as errors have it."""
-        return f"{self.file}:{self.line}"
-
-
 def check_airframe(folder: Path) -> None:
     """Check the aircraft of a folder and every file that it names.
 
     Raises:
         AircraftError: there is no aircraft, or a file is not XML, exceeds the limits on size and
             depth, is outside the folder, or has something that is not in `GRAMMAR`, or a mass or
-            size that no aircraft has; or the engine is of a kind that the testbed does not fly.
-            The message has file and line.
+            size that no aircraft has; or it is no aeroplane, or has an engine that JSBSim does not
+            fly as it says. The message has all faults, each in a line with file and line.
     """
     main = _main_file(folder)
-    _check_power(folder.name, check_files(main), main)
+    checked = check_files(main)
+    parts = {file: check.parts for file, check in checked.items()}
+    # of what is no aeroplane, nothing else matters
+    raise_faults(kind_faults(folder.name, parts))
+    faults = [fault for check in checked.values() for fault in check.faults]
+    raise_faults([*faults, *pair_faults(folder.name, parts)])
+
+
+def raise_faults(faults: Sequence[AirframeFault]) -> None:
+    """Raise the faults of an aircraft, if there are any.
+
+    Raises:
+        AircraftError: there are; each has a line of the message.
+    """
+    if faults:
+        lines = [f"{place}: {text}" for place, text in faults[:_MOST_FAULTS]]
+        if more := len(faults) - len(lines):
+            lines.append(f"and {more} more")
+        raise AircraftError("\n".join(lines))
 
 
 def check_files(main: Path) -> dict[Path, FileCheck]:
     """Check the main file of an aircraft, and all that it names, by the rules of `GRAMMAR`.
 
+    Returns:
+        The checks of all files that could be read, with their faults.
+
     Raises:
-        AircraftError: as `check_airframe`, but for the engine.
+        AircraftError: there are too many files, or they name one another in a cycle.
     """
     home = main.parent.resolve()
     checked: dict[Path, FileCheck] = {}
@@ -132,8 +133,8 @@ def check_files(main: Path) -> dict[Path, FileCheck]:
         if file not in checked:
             check = checked[file] = FileCheck(file, home, kinds)
             waiting += [(each, use.kinds) for use in check.uses for each in use.files]
-        elif checked[file].kind not in kinds:
-            raise AircraftError(_wrong_kind(FileLine(file, 1), checked[file].kind, kinds))
+        elif (kind := checked[file].kind) and kind not in kinds:
+            checked[file].faults.append(AirframeFault(FileLine(file, 1), _wrong_kind(kind, kinds)))
         if len(checked) > MAX_FILES:
             raise AircraftError(f"{main}: names more than {MAX_FILES} files")
     _check_cycles(
@@ -158,23 +159,6 @@ def _main_file(folder: Path) -> Path:
     return main
 
 
-def _check_power(name: str, checked: Mapping[Path, FileCheck], main: Path) -> None:
-    """Check that the testbed can fly the engine and the thruster."""
-    found = {
-        group: [(each, place) for check in checked.values() for each, place in check.parts(group)]
-        for group in ("engine", "thruster")
-    }
-    for group, kinds in (("engine", _FLOWN_ENGINES), ("thruster", _FLOWN_THRUSTERS)):
-        for kind, place in found[group]:
-            if kind not in kinds:
-                raise AircraftError(f"{place}: {name} has {_WORDS[kind]}; {_FLIES} ({_REMEDY})")
-    mounted = [place for check in checked.values() for place in check.mounted]
-    if len(mounted) != 1:
-        place = mounted[1] if mounted else FileLine(main, 1)
-        count = f"{len(mounted)} engines" if mounted else "no engine"
-        raise AircraftError(f"{place}: {name} has {count}; {_FLIES}")
-
-
 @dataclass(slots=True)
 class _Open:
     """An element that has begun and not ended."""
@@ -195,28 +179,33 @@ class _Use(NamedTuple):
     kinds: tuple[str, ...]
 
 
+class _UnreadableError(Exception):
+    """The rest of a file cannot be checked."""
+
+
 class FileCheck:
     """Check a file with JSBSim's parser.
 
     Attributes:
-        kind: the first element.
+        kind: the first element; "" if there is none of the right kind.
         uses: files that it names.
-        mounted: places of engines on the aircraft.
+        faults: in the order of the file.
+        parts: engines, thrusters and gas cells in it.
     """
 
     def __init__(self, file: Path, home: Path, kinds: tuple[str, ...]) -> None:
         """Check one file, of an aircraft in the folder `home`.
 
         Raises:
-            AircraftError: as `check_files`.
+            AircraftError: the file cannot be opened, or is too large.
         """
         self.file, self.home, self.kinds = file, home, kinds
         self.kind = ""
         self.uses: list[_Use] = []
-        self.mounted: list[FileLine] = []
-        self._parts: list[tuple[str, FileLine]] = []
+        self.faults: list[AirframeFault] = []
+        self.parts = PowerParts()
         self._open: list[_Open] = []
-        self._prose = 0  # depth below the first element of prose
+        self._skipped = 0  # depth below the first element of prose, or that is not known
         self._parser = parser = expat.ParserCreate()
         parser.buffer_text = True
         parser.StartDoctypeDeclHandler = self._doctype
@@ -226,45 +215,51 @@ class FileCheck:
         try:
             parser.Parse(_content(file), True)
         except expat.ExpatError as error:
-            self._fail(f"is not XML: {expat.ErrorString(error.code)}", error.lineno)
-        except AircraftError:
-            raise
+            self._report(f"is not XML: {expat.ErrorString(error.code)}", error.lineno)
+        except _UnreadableError:
+            pass
         except (ValueError, LookupError) as error:
-            self._fail(f"is not XML in an encoding that JSBSim reads: {error}")
+            if isinstance(error, AircraftError):
+                raise
+            self._report(f"is not XML in an encoding that JSBSim reads: {error}")
 
-    def parts(self, group: str) -> Iterable[tuple[str, FileLine]]:
-        """Return kind and place of each engine or thruster that is described in the file."""
-        kinds = (ENGINES if group == "engine" else THRUSTERS).split()
-        return [each for each in self._parts if each[0] in kinds]
-
-    def _fail(self, text: str, line: int | None = None) -> NoReturn:
+    def _report(self, text: str, line: int | None = None) -> None:
         at = self._parser.CurrentLineNumber if line is None else line
-        raise AircraftError(f"{FileLine(self.file, at)}: {text}") from None
+        self.faults.append(AirframeFault(FileLine(self.file, at), text))
 
-    def _doctype(self, *_: Any) -> None:  # noqa: ANN401 - expat's
-        self._fail("<!DOCTYPE> and entities are not allowed (remove them)")
+    def _end_check(self, text: str) -> NoReturn:
+        """Report a fault after which the file cannot be read on."""
+        self._report(text)
+        raise _UnreadableError
+
+    def _doctype(self, *doctype: Any) -> None:  # noqa: ANN401 - expat's
+        text = "<!DOCTYPE> and entities are not allowed (remove them)"
+        if doctype[-1]:  # it declares entities
+            self._end_check(text)
+        self._report(text)
 
     def _begin(self, name: str, attributes: Mapping[str, str]) -> None:
-        if len(self._open) + self._prose >= MAX_DEPTH:
-            self._fail(f"<{_short(name)}> is deeper than {MAX_DEPTH} elements")
-        if self._prose or (self._open and self._open[-1].row.text is Text.PROSE):
-            self._prose += 1
+        if len(self._open) + self._skipped >= MAX_DEPTH:
+            self._end_check(f"<{_short(name)}> is deeper than {MAX_DEPTH} elements")
+        if self._skipped or (self._open and self._open[-1].row.text is Text.PROSE):
+            self._skipped += 1
             return
         row = self._row(name)
+        if row is None:
+            self._skipped += 1
+            return
         line = self._parser.CurrentLineNumber
+        self.parts.begin(name, FileLine(self.file, line))
         self._open.append(_Open(name, row, line, attributes.get("unit", "").strip()))
         if row.text is not Text.PROSE:
             self._check_attributes(name, row, attributes)
-        if name == "engine":
-            self.mounted.append(FileLine(self.file, line))
-        if name in _WORDS or name in _FLOWN_ENGINES or name in _FLOWN_THRUSTERS:
-            self._parts.append((name, FileLine(self.file, line)))
 
-    def _row(self, name: str) -> Element:
+    def _row(self, name: str) -> Element | None:
+        """Return the row of an element that begins; None, and a fault: it is not known there."""
         if not self._open:
-            self.kind = name
             if name not in self.kinds:
-                self._fail(_wrong_kind(None, name, self.kinds))
+                self._end_check(_wrong_kind(name, self.kinds))
+            self.kind = name
             return GRAMMAR[name]
         parent = self._open[-1]
         row = row_of(parent.row, name)
@@ -278,7 +273,7 @@ class FileCheck:
                     + f"<{parent.name}> ("
                     + (f"did you mean <{near[0]}>?)" if near else "remove it)")
                 )
-            self._fail(f"<{_short(name)}> {remedy}")
+            self._report(f"<{_short(name)}> {remedy}")
         return row
 
     def _check_attributes(self, name: str, row: Element, attributes: Mapping[str, str]) -> None:
@@ -288,10 +283,12 @@ class FileCheck:
                 continue
             some = ", ".join(each for each in known if each not in _WITHOUT_MEANING)
             have = f"it may have {some}, name and unit" if some else "it may have name and unit"
-            self._fail(f"the attribute {_short(key)} of <{name}> is not known ({have})")
-        if "file" in attributes:
+            self._report(f"the attribute {_short(key)} of <{name}> is not known ({have})")
+        if "file" in attributes and row.folders:
             kinds = tuple(row.kinds.split()) or (name,)
-            self.uses.append(_Use(self._found(attributes["file"], row.folders), kinds))
+            use = _Use(self._found(attributes["file"], row.folders), kinds)
+            self.uses.append(use)
+            self.parts.add_files(use.files)
         if row.name is not Name.WORD and attributes.get("name"):
             given = attributes["name"]
             pattern = "{}" if row.name is Name.CONTROL and "/" in given else row.name.value
@@ -299,29 +296,32 @@ class FileCheck:
         if "copyto" in attributes:
             self._check_property(attributes["copyto"])
 
-    def _end(self, _: str) -> None:
-        if self._prose:
-            self._prose -= 1
+    def _end(self, name: str) -> None:
+        if self._skipped:
+            self._skipped -= 1
             return
         ended = self._open.pop()
+        self.parts.end(name)
         if ended.row.text is Text.WRITES:
             for line in filter(None, map(str.strip, "".join(ended.text).splitlines())):
                 self._check_property(line, ended.line)
         elif ended.row.text in (Text.POSITIVE, Text.NOT_NEGATIVE):
             value = self._number(ended)
-            self._open[-1].values[ended.name] = value, ended.unit, ended.line
+            if value is not None:
+                self._open[-1].values[ended.name] = value, ended.unit, ended.line
         elif ended.name == "tank":
             self._check_tank(ended)
 
     def _add_text(self, text: str) -> None:
-        if not self._prose and self._open and self._open[-1].row.text in _CHECKED:
+        if not self._skipped and self._open and self._open[-1].row.text in _CHECKED:
             self._open[-1].text.append(text)
 
     def _check_property(self, name: str, line: int | None = None) -> None:
         if problem := property_problem(name):
-            self._fail(f"the property {_short(name)} {problem}", line)
+            self._report(f"the property {_short(name)} {problem}", line)
 
-    def _number(self, element: _Open) -> float:
+    def _number(self, element: _Open) -> float | None:
+        """Return the number of an element; None, and a fault: it is none, or beyond its limit."""
         text, limit = "".join(element.text).strip(), element.row.text
         try:
             value = float(text)
@@ -329,9 +329,10 @@ class FileCheck:
             value = math.nan
         good = value > 0.0 if limit is Text.POSITIVE else value >= 0.0
         if not (good and math.isfinite(value) and "_" not in text):
-            self._fail(
+            self._report(
                 f"<{element.name}> is {_short(text)}; it must be {limit.value}", element.line
             )
+            return None
         return value
 
     def _check_tank(self, tank: _Open) -> None:
@@ -344,7 +345,7 @@ class FileCheck:
         elif unit != room_unit:
             return
         if fuel > room * (1.0 + 1e-9):
-            self._fail(
+            self._report(
                 f"<contents> of the tank is {fuel:g}, and its <capacity> is {room:g} {room_unit} "
                 "(write 0 to the capacity)".replace("  ", " "),
                 line,
@@ -354,24 +355,25 @@ class FileCheck:
         """Return all files that JSBSim may read for a name."""
         places = " or its ".join(("the aircraft's folder", *folders[1:2]))
         if not _FILE_NAME.fullmatch(name):
-            self._fail(
+            self._report(
                 f"file={_short(name)!r} leaves the aircraft's folder, or is no plain name (write "
                 f"the name of a file in {places})"
             )
+            return []
         path = name if name.endswith(".xml") else f"{name}.xml"
         candidates = [self.home / each / path for each in folders]
         files = [each.resolve() for each in candidates if each.is_file()]
         if not files:
-            self._fail(f"file={name!r}: there is no {path} in {places} (add it)")
-        if not all(each.is_relative_to(self.home) for each in files):
-            self._fail(f"file={name!r} is a link out of the aircraft's folder (put a copy there)")
-        return files
+            self._report(f"file={name!r}: there is no {path} in {places} (add it)")
+        inside = [each for each in files if each.is_relative_to(self.home)]
+        if len(inside) < len(files):
+            self._report(f"file={name!r} is a link out of the aircraft's folder (put a copy there)")
+        return inside
 
 
-def _wrong_kind(place: FileLine | None, kind: str, kinds: tuple[str, ...]) -> str:
+def _wrong_kind(kind: str, kinds: tuple[str, ...]) -> str:
     wanted = " or ".join(f"<{each}>" for each in kinds)
-    text = f"begins with <{_short(kind)}> (write {wanted})"
-    return f"{place}: {text}" if place else text
+    return f"begins with <{_short(kind)}> (write {wanted})"
 
 
 def _short(text: str) -> str:

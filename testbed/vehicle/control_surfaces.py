@@ -46,6 +46,7 @@ class SurfaceModel(Protocol):
 
     has_rudder: bool  # the rudder command has an effect
     has_lag: bool  # surfaces lag behind their commands, unless placed with `spin`
+    probe_speed: float  # m/s, at which the aircraft is examined
 
     def place(self, placement: Placement, controls: Controls, *, spin: bool) -> None:
         """Place the aircraft; with `spin` surfaces settle first."""
@@ -186,7 +187,7 @@ def find_control_geometry(model: SurfaceModel) -> ControlGeometry:
     Args:
         model: located.
     """
-    ahead = Placement((20.0, 0.0, 0.0), STILL, 0.0, 0.0, 0.0)
+    ahead = Placement((model.probe_speed, 0.0, 0.0), STILL, 0.0, 0.0, 0.0)
 
     def at(aileron: float, elevator: float) -> Array:
         model.place(ahead, Controls(aileron, elevator, elevator, 0.0), spin=model.has_lag)

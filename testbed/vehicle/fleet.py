@@ -133,10 +133,12 @@ def place_model(
     model = load(folder, base_rate_hz, integrators)
     model.locate(start.position_ned, origin)
     model.warm(start.temperature_offset)
-    model.set_cells(start.cells)
-    model.charge(start.state_of_charge)
+    model.power.set_cells(start.cells)
+    model.power.charge(start.state_of_charge)
     watch(model)
-    level = start.airspeed * math.cos(start.flight_path_angle)
+    if start.fuel_burn:
+        model.power.check_fuel()
+    level = start.airspeed * math.cos(trimmed.point.flight_path_angle)
     model.place(
         trimmed.placement,
         trimmed.controls,
@@ -144,7 +146,7 @@ def place_model(
         wind_ned=start.wind_ned,
         spin=True,
     )
-    model.fly()
+    model.fly(burn=start.fuel_burn)
     leads = control_leads(integrators.control_lead, surfaces_lag=model.lags_by_step)
     return PlacedModel(model, trimmed, leads)
 
@@ -199,6 +201,7 @@ class FlightModels:
         self._read_numbers(range(n))
         self._first = self._numbers.copy()
         self.bind(allocate(AIRCRAFT, n), self.all_rows)
+        self._without_air = np.isnan(self._air_numbers)  # as of aircraft without a propeller
         self.write_surfaces(0.0)
         self._changed[:] = False
         self._last_controls[:] = self._controls
@@ -337,8 +340,9 @@ class FlightModels:
         if not (np.abs(self._numbers[i]) < _IMPLAUSIBLE).all():
             self._numbers[i] = self._first[i]
         self._read_air_numbers([i])
-        air = self._air_numbers[i, : len(AIR_PROPERTIES)]
-        air[~(np.abs(air) < _IMPLAUSIBLE)] = 0.0
+        flow = slice(len(AIR_PROPERTIES))
+        air, without = self._air_numbers[i, flow], self._without_air[i, flow]
+        air[~((np.abs(air) < _IMPLAUSIBLE) | without)] = 0.0
         self._leave([i])
         self.aircraft[self.rows[i]]["stopped"] = True
 
@@ -389,19 +393,14 @@ class JsbsimFleet(FlightModels):
             [model.node(name).get_double_value for name in MOTION_PROPERTIES] for model in models
         ]
         self._air_getters: list[list[Getter | None]] = [
-            [
-                *(model.node(name).get_double_value for name in AIR_PROPERTIES),
-                *(_getter(model.find(name)) for name in BATTERY_PROPERTIES),
-            ]
+            [_getter(model.find(name)) for name in (*AIR_PROPERTIES, *BATTERY_PROPERTIES)]
             for model in models
         ]
         self._wind_setters: list[list[Setter]] = [
             [node.set_double_value for node in (*model.winds, *(model.turns or ()))]
             for model in models
         ]
-        self._setters: list[list[Setter]] = [
-            [node.set_double_value for node in model.controls] for model in models
-        ]
+        self._setters: list[list[Setter]] = [list(model.controls) for model in models]
         trims, leads = [each.trim for each in placed], [each.leads for each in placed]
         super().__init__(folders, starts, origin, trims, leads)
 
@@ -417,7 +416,7 @@ class JsbsimFleet(FlightModels):
     def discharge(self, charge: Array) -> None:
         """See `FlightModels`."""
         for i in np.flatnonzero(~np.isnan(charge)).tolist():
-            self._models[i].discharge(float(charge[i]))
+            self._models[i].power.discharge(float(charge[i]))
 
     def displace(self, shift_ned: Array) -> None:
         """Move all aircraft by (N, 3) m, without a change of their velocities."""

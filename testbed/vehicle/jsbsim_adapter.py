@@ -12,27 +12,26 @@ import os
 import sys
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import lru_cache, partial, wraps
 from pathlib import Path
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import jsbsim
-import numpy as np
 
 from testbed.core.errors import InputError
-from testbed.core.frames import FOOT
 from testbed.core.input_files import open_regular
-from testbed.core.records import Airframe, Array, NedOrigin
+from testbed.core.records import Airframe, NedOrigin
+from testbed.vehicle.airframe_measurement import cruise_airspeed, lift_slope, measured_airframe
 from testbed.vehicle.airframe_validation import MAX_BYTES, probe_in_copy
 from testbed.vehicle.control_surfaces import ControlGeometry, find_control_geometry
 from testbed.vehicle.environment import INTEGRATORS, Integrators
-from testbed.vehicle.jsbsim_model import POUND, AircraftError, JsbsimModel, Traits, find_traits
+from testbed.vehicle.inertia import impossible_inertia, unlikely_inertia
+from testbed.vehicle.jsbsim_model import SLOWEST_PROBE, JsbsimModel, Traits, find_traits
 from testbed.vehicle.linearize import Linear, NaturalMode, find_modes, linearize
+from testbed.vehicle.powerplant import AircraftError
 from testbed.vehicle.trim import (
-    STILL,
-    Controls,
-    Placement,
+    TrimError,
     TrimPoint,
     TrimResult,
     error_prefix,
@@ -41,99 +40,8 @@ from testbed.vehicle.trim import (
 
 # Set by the files; properties and point masses may change them when loaded.
 _SIZES = ("inertia/mass-slugs", "metrics/Sw-sqft", "metrics/bw-ft", "metrics/cbarw-ft")
-_ROUNDING = 1e-6  # of the largest moment; a flat plate has J1 + J2 = J3 exactly
-_AXES = ((0, 0, "Jxx"), (1, 1, "Jyy"), (2, 2, "Jzz"), (0, 1, "Jxy"), (0, 2, "Jxz"), (1, 2, "Jyz"))
-
-
-def impossible_inertia(tensor: Array) -> str | None:
-    """Return why an inertia tensor (3, 3), kg m², is impossible, or None.
-
-    The principal moments J1 ≤ J2 ≤ J3 are integrals of y² + z², x² + z² and x² + y² over a mass
-    without negative density: they are positive, and none exceeds the sum of the others.
-    """
-    elements = ", ".join(
-        f"{name} {tensor[i, j]:.4g}" for i, j, name in _AXES if i == j or tensor[i, j] != 0.0
-    )
-    if not np.isfinite(tensor).all():
-        return f"{elements} kg m²: they must be finite"
-    first, second, third = np.linalg.eigvalsh(0.5 * (tensor + tensor.T)).tolist()
-    principal = f"J1 {first:.4g}, J2 {second:.4g}, J3 {third:.4g}"
-    if not first > 0.0:
-        return (
-            f"{elements} kg m²: the principal moments are {principal}, and J1 > 0 fails: the "
-            f"tensor must be positive definite"
-        )
-    if first + second < third * (1.0 - _ROUNDING):
-        return (
-            f"{elements} kg m²: the principal moments are {principal}, and J1 + J2 ≥ J3 fails: "
-            f"{first + second:.4g} < {third:.4g}"
-        )
-    return None
-
-
-_TILT = 1.0  # rad, of the attitudes in which contact points are found
-_INCIDENCE = 0.02  # rad, far from the stall
-_ALPHAS = np.radians(np.arange(0.0, 45.1, 0.1))  # searched for the stall
-
-
-def measured_airframe(model: JsbsimModel) -> Airframe:
-    """Measure wing size, mass with fuel, lift slope and stall angle.
-
-    The wind is sampled ahead of and behind the centre of gravity at the distance of the tail, or of
-    half a chord without a tail. The stall angle has the largest lift with neutral controls.
-    """
-    size = {
-        name: model.node(f"metrics/{key}").get_double_value()
-        for name, key in (("area", "Sw-sqft"), ("span", "bw-ft"), ("tail", "lh-ft"))
-    }
-    chord = model.node("metrics/cbarw-ft").get_double_value()
-    low, high = (_lift(model, alpha) for alpha in (0.0, _INCIDENCE))  # also initialises the fuel
-    mass = model.node("inertia/mass-slugs").get_double_value()
-    lifts = [_lift(model, alpha) for alpha in _ALPHAS]
-    largest = int(np.argmax(lifts))
-    return Airframe(
-        span=size["span"] * FOOT,
-        area=size["area"] * FOOT**2,
-        arm=(size["tail"] or 0.5 * chord) * FOOT,
-        mass=mass * POUND / FOOT,
-        lift_slope=(high - low) / _INCIDENCE / size["area"],
-        stall_angle=math.inf if largest == len(lifts) - 1 else float(_ALPHAS[largest]),
-        contact_radius=_contact_radius(model),
-    )
-
-
-def _contact_radius(model: JsbsimModel) -> float:
-    """Return the distance of the farthest contact point from the centre of gravity, m.
-
-    JSBSim tells the heights of its contact points: their distances below the centre of gravity in
-    three attitudes are those along the axes of the body.
-    """
-    points = range(int(model.node("gear/num-units").get_double_value()))
-    heights = [
-        model.find(f"gear/unit[{k}]/AGL-ft") or model.node(f"contact/unit[{k}]/AGL-ft")
-        for k in points
-    ]
-    below = []
-    for roll, pitch in ((0.0, 0.0), (0.0, _TILT), (_TILT, 0.0)):
-        placement = Placement((20.0, 0.0, 0.0), STILL, roll, pitch, 0.0)
-        model.place(placement, Controls(0.0, 0.0, 0.0, 0.0), spin=False)
-        centre = model.node("position/h-agl-ft").get_double_value()
-        below.append([centre - each.get_double_value() for each in heights])
-    z, pitched, rolled = np.array(below).reshape(3, -1) * FOOT
-    x = (z * math.cos(_TILT) - pitched) / math.sin(_TILT)
-    y = (rolled - z * math.cos(_TILT)) / math.sin(_TILT)
-    return float(np.max(np.sqrt(x * x + y * y + z * z), initial=0.0))
-
-
-def _lift(model: JsbsimModel, alpha: float) -> float:
-    """Return lift divided by dynamic pressure at an angle of attack, ft²."""
-    speed = 20.0
-    velocity = (speed * math.cos(alpha), 0.0, speed * math.sin(alpha))
-    neutral = Controls(0.0, 0.0, 0.0, 0.0)
-    model.place(Placement(velocity, STILL, 0.0, alpha, 0.0), neutral, spin=False)
-    # unlike its other forces, JSBSim's aerodynamic force has lift and drag positive
-    force = model.node("forces/fwz-aero-lbs").get_double_value()
-    return float(force) / float(model.node("aero/qbar-psf").get_double_value())
+_CRUISE_TRIES = (1.0, 1.25, 0.85, 1.6)  # of the airspeed of CRUISE_LIFT
+_SMALLEST_SLOPE = 0.3  # 1/rad, of a lift coefficient; that of a slender delta wing is 1.5
 
 
 _Rest = ParamSpec("_Rest")
@@ -247,6 +155,31 @@ def trim_aircraft(folder: Path, point: TrimPoint, origin: NedOrigin | None = Non
     return _trim_aircraft(folder, point, origin or NedOrigin())
 
 
+def find_cruise(folder: Path, airspeed: float | None = None, altitude: float = 400.0) -> TrimResult:
+    """Trim the aircraft in a folder in level flight, or a glider in its descent.
+
+    Args:
+        folder: of the aircraft.
+        airspeed: true, m/s; default: that of a lift coefficient of 0.4 at sea level, or where there
+            is no steady flight the first of 1.25, 0.85 and 1.6 times that speed.
+        altitude: m above sea level.
+
+    Raises:
+        AircraftError: JSBSim cannot load an aircraft from the folder, or it is no aeroplane.
+        TrimError: there is no steady flight; of several speeds the error of the first one.
+    """
+    if airspeed is not None:
+        return trim_aircraft(folder, TrimPoint(airspeed, altitude=altitude))
+    cruise = cruise_airspeed(airframe(folder))
+    errors = list[TrimError]()
+    for factor in _CRUISE_TRIES:
+        try:
+            return trim_aircraft(folder, TrimPoint(factor * cruise, altitude=altitude))
+        except TrimError as error:
+            errors.append(error)
+    raise errors[0]
+
+
 @cache_by_folder(maxsize=64)
 def airframe(folder: Path) -> Airframe:
     """Measure the airframe properties of the aircraft in a folder.
@@ -283,8 +216,7 @@ def linearize_aircraft(folder: Path, point: TrimPoint, origin: NedOrigin | None 
 def modes_of_aircraft(folder: Path, point: TrimPoint, origin: NedOrigin) -> tuple[NaturalMode, ...]:
     """Find the modes of the aircraft in a folder about its trim, the fastest first.
 
-    The result is cached until a file of the folder changes. It is empty where the aircraft cannot
-    be linearised, as with a propeller whose speed does not depend on the throttle.
+    The result is cached until a file of the folder changes.
 
     Raises:
         AircraftError, TrimError: as `trim_aircraft` does.
@@ -296,9 +228,8 @@ def modes_of_aircraft(folder: Path, point: TrimPoint, origin: NedOrigin) -> tupl
 def _modes_of_aircraft(
     folder: Path, point: TrimPoint, origin: NedOrigin
 ) -> tuple[NaturalMode, ...]:
-    with np.errstate(divide="ignore", invalid="ignore"):
-        a = linearize_aircraft(folder, point, origin).a
-    return find_modes(a) if np.isfinite(a).all() else ()
+    linear = linearize_aircraft(folder, point, origin)
+    return find_modes(linear.a, linear.states)
 
 
 @cache_by_folder(maxsize=256)
@@ -312,8 +243,8 @@ def _located(folder: Path, point: TrimPoint, origin: NedOrigin) -> JsbsimModel:
     model = load(folder, _TRIM_RATE_HZ)
     model.locate((0.0, 0.0, origin.elevation_m - point.altitude), origin)
     model.warm(point.temperature_offset)
-    model.set_cells(point.cells)
-    model.charge(point.state_of_charge)
+    model.power.set_cells(point.cells)
+    model.power.charge(point.state_of_charge)
     return model
 
 
@@ -326,6 +257,25 @@ def load(folder: Path, rate_hz: int, integrators: Integrators = INTEGRATORS) -> 
     folder = Path(folder).resolve()
     traits = _traits(folder)
     return JsbsimModel(load_executive(folder), rate_hz, traits, integrators)
+
+
+def airframe_warnings(folder: Path) -> tuple[str, ...]:
+    """Return what a user should know about the aircraft in a folder before it flies.
+
+    Raises:
+        AircraftError: JSBSim cannot load an aircraft from the folder.
+    """
+    folder = Path(folder).resolve()
+    traits, found = _traits(folder), list[str]()
+    if traits.unlikely_inertia:
+        main = folder / f"{folder.name}.xml"
+        found.append(f"{main}: mass_balance: no rigid body has {traits.unlikely_inertia}")
+    if not traits.has_engine:
+        found.append(
+            f"{folder.name} has no engine: its throttle has no effect, and in steady flight it "
+            "descends at the angle that its airspeed gives"
+        )
+    return tuple(found)
 
 
 def probe_airframes(folders: Iterable[Path]) -> None:
@@ -352,17 +302,25 @@ def _traits(folder: Path) -> Traits:
     return _TRAITS[files]
 
 
-def _probe(folder: Path, on_error: Callable[[str], None]) -> dict[str, bool]:
+def _probe(folder: Path, on_error: Callable[[str], None]) -> dict[str, Any]:
     _LOGGER.on_error = on_error
-    assumed = Traits(has_rudder=True, has_lag=True, lags_by_step=False)
+    assumed = Traits(
+        SLOWEST_PROBE, has_engine=True, has_rudder=True, has_lag=True, lags_by_step=False
+    )
     model = JsbsimModel(load_executive(folder), _TRIM_RATE_HZ, assumed)
     traits = find_traits(model)
     for name in _SIZES:
         if not 0.0 < (size := model.node(name).get_double_value()) < math.inf:
             raise AircraftError(f"{name} is {size:g} when loaded; it must be greater than 0")
-    if fault := impossible_inertia(model.inertia()):
+    if not (slope := lift_slope(model)) > _SMALLEST_SLOPE:
+        raise AircraftError(
+            f"{folder.name} is not carried by a wing: its lift coefficient grows by {slope:.2g} "
+            "per radian of angle of attack near 0; the testbed flies aeroplanes"
+        )
+    inertia = model.inertia()
+    if fault := impossible_inertia(inertia):
         raise AircraftError(f"mass_balance: no rigid body has {fault}")
-    return asdict(traits)
+    return asdict(replace(traits, unlikely_inertia=unlikely_inertia(inertia)))
 
 
 def load_executive(folder: Path) -> jsbsim.FGFDMExec:

@@ -9,44 +9,47 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from testbed.core.errors import InputError
 from testbed.core.frames import FOOT, rotation_ned_body
 from testbed.core.geodetic import RADIANS, geodetic_from_ned, local_frame
 from testbed.core.records import Array, NedOrigin
 from testbed.vehicle.control_surfaces import SURFACES
 from testbed.vehicle.environment import INTEGRATORS, Integrators, set_environment
-from testbed.vehicle.trim import STILL, Controls, Placement, Vector
+from testbed.vehicle.powerplant import AircraftError, Powerplant, at_rest
+from testbed.vehicle.trim import STILL, Controls, Placement, TrimError, Vector
 
 # Properties of the aircraft files: subtracted from the rates and added to the rolling moment.
 _TURNS = ("p-rad_sec", "q-rad_sec", "r-rad_sec", "roll-coefficient")
 _DEFLECTED = ("left-aileron", *SURFACES[1:])  # ailerons deflect together
-_MAX_SPIN_STEPS = 2000  # until the propeller and the surfaces have settled
 _SETTLING_HZ = 200  # steps per second meanwhile, whatever the rate of the flight
+_MAX_SPIN_STEPS = 6000  # until engines, propellers and surfaces have settled
+_MAX_CRANK_STEPS = 2000  # until piston engines run
+_WARM_UP_STEPS = 400  # with the starter off
 INTEGRATOR_STEPS = 6  # one more than JSBSim's integrators use
 NO_TIME = 1e-12  # s
 POUND = 4.4482216152605  # N, of force
 _SLUG_FOOT2 = POUND * FOOT  # kg m²; a slug is a pound-force per foot/s²
 _RANKINE = 1.8  # degrees Rankine per kelvin
 _NO_EFFECT = 1e-6  # m/s² and rad/s², above rounding
+SLOWEST_PROBE = 20.0  # m/s, airspeed at which small aircraft are examined
+CRUISE_LIFT = 0.4  # lift coefficient, at which larger ones are
 _SHORT_STEP = 1e-5  # s, for the acceleration of the propeller
-
-
-class AircraftError(InputError):
-    """An aircraft folder that JSBSim cannot fly."""
 
 
 @dataclass(frozen=True, slots=True)
 class Traits:
     """Features of an aircraft that JSBSim has no properties for."""
 
+    probe_speed: float  # m/s, at which an aircraft is examined
+    has_engine: bool  # if not, it is a glider
     has_rudder: bool  # the rudder command has an effect
     has_lag: bool  # surfaces lag behind their commands when placed
     lags_by_step: bool  # surfaces move by the time flown: not in a step of no time
+    unlikely_inertia: str = ""  # why the tensor is inexact
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,18 +88,19 @@ class JsbsimModel:
         """
         self.fdm = fdm
         set_environment(fdm, integrators)
+        self._manager = fdm.get_property_manager()
+        self.power = Powerplant(fdm.get_model_name(), self.find)
         self.has_rudder, self.has_lag = traits.has_rudder, traits.has_lag
+        self.probe_speed, self.has_engine = traits.probe_speed, self.power.has_engine
+        self.has_propeller, self.throttle_lags = self.power.has_propeller, self.power.throttle_lags
         self.lags_by_step = traits.lags_by_step
         self._dt = 1.0 / rate_hz
         self.fdm.set_dt(self._dt)
-        self._manager = self.fdm.get_property_manager()
-        self.controls = tuple(
-            self.node(f"fcs/{name}-cmd-norm")
-            for name in ("aileron", "elevator", "rudder", "throttle")
+        surfaces = (self.node(f"fcs/{name}-cmd-norm") for name in SURFACES[:3])
+        self.controls: tuple[Callable[[float], None], ...] = (
+            *(node.set_double_value for node in surfaces),
+            self.power.set_throttle,
         )
-        self._sense = self.node("propulsion/engine/propeller-sense")
-        self._senses = self._sense.get_double_value()
-        self._rpm = self.node("propulsion/engine/propeller-rpm").get_double_value
         self._moments = [self.node(f"moments/{axis}-aero-lbsft").get_double_value for axis in "lmn"]
         self._hold = self.node("forces/hold-down").set_double_value
         self.winds = tuple(
@@ -168,47 +172,6 @@ class JsbsimModel:
         if temperature_offset:
             self.node("atmosphere/delta-T").set_double_value(temperature_offset * _RANKINE)
 
-    def set_cells(self, cells: int) -> None:
-        """Set the number of cells of the battery in series; 0: that of the airframe.
-
-        Raises:
-            AircraftError: the aircraft has no battery with a number of cells.
-        """
-        if not cells:
-            return
-        node = self.find("battery/cells")
-        if node is None:
-            raise AircraftError(
-                f"{self.fdm.get_model_name()}: has no battery/cells, so there cannot be {cells:g} "
-                "cells (remove the key)"
-            )
-        node.set_double_value(cells)
-
-    def charge(self, state_of_charge: float) -> None:
-        """Set the state of charge of the battery, from the next placement on.
-
-        Raises:
-            AircraftError: the aircraft has no battery, and the state of charge is below 1.
-        """
-        node = self.find("battery/initial-state-of-charge")
-        if node is not None:
-            node.set_double_value(state_of_charge)
-        elif state_of_charge != 1.0:
-            raise AircraftError(
-                f"{self.fdm.get_model_name()}: has no battery, so its state of charge cannot be "
-                f"{state_of_charge:g} (remove the key)"
-            )
-
-    def discharge(self, state_of_charge: float) -> None:
-        """Discharge the battery in flight to a state of charge; never charge it.
-
-        Raises:
-            AircraftError: the aircraft has no battery.
-        """
-        initial = self.node("battery/initial-state-of-charge")
-        more = state_of_charge - self.node("battery/state-of-charge").get_double_value()
-        initial.set_double_value(initial.get_double_value() + min(more, 0.0))
-
     def deflections(self) -> Array:
         """Return the magnitudes of the deflections (5,), rad, in the order of SURFACES.
 
@@ -266,15 +229,12 @@ class JsbsimModel:
         """
         self._command(controls)
         if spin:
-            self._initialise(placement, course, STILL)
-            self._sense.set_double_value(0.0)
-            self._hold(1.0)
-            for wind, velocity in zip(self.winds, self._velocities, strict=True):
-                wind.set_double_value(-velocity())
-            with self._step(1.0 / _SETTLING_HZ):
-                self._settle()
-            self._hold(0.0)
-            self._sense.set_double_value(self._senses)
+            if not self.power.runs:
+                self._start(placement, course)
+            self._spin(placement, course)
+            if not self.power.runs:  # an engine has stopped, as at a throttle that it cannot bear
+                self._start(placement, course)
+                self._spin(placement, course)
         self._initialise(placement, course, wind_ned)
         # the initial condition leaves rounding errors in the wind
         for wind, value in zip(self.winds, wind_ned, strict=True):
@@ -286,23 +246,71 @@ class JsbsimModel:
                 for _ in range(INTEGRATOR_STEPS):
                     self.fdm.run()
 
+    def _start(self, placement: Placement, course: float) -> None:
+        """Start the engines: pistons with their starters, at rest, in steps of time.
+
+        JSBSim can set engines running at once, but stops light propellers of variable pitch by it.
+        Pistons are set running so only where the starter is too weak.
+        """
+        if self.power.has_pistons:
+            still = replace(placement, velocity_body=STILL, rates_body=STILL)
+            self._initialise(still, course, STILL)
+            self._hold(1.0)
+            with self._step(1.0 / _SETTLING_HZ):
+                self.power.crank(starter=True)
+                for _ in range(_MAX_CRANK_STEPS):
+                    self.fdm.run()
+                    if self.power.pistons_run:
+                        break
+                self.power.crank(starter=False)
+                for _ in range(_WARM_UP_STEPS):
+                    self.fdm.run()
+            self._hold(0.0)
+        self._initialise(placement, course, STILL)
+        if not self.power.runs:
+            self.power.set_running()
+
+    def _spin(self, placement: Placement, course: float) -> None:
+        """Hold the aircraft in a wind of its airspeed until propellers and surfaces settle."""
+        self._initialise(placement, course, STILL)
+        self.power.remove_torque(removed=True)
+        self._hold(1.0)
+        for wind, velocity in zip(self.winds, self._velocities, strict=True):
+            wind.set_double_value(-velocity())
+        with self._step(1.0 / _SETTLING_HZ):
+            self._settle()
+        self._hold(0.0)
+        self.power.remove_torque(removed=False)
+
     def _settle(self) -> None:
-        rpm, moments = -1.0, [math.inf] * 3
+        # a first step never counts as rest
+        values = [math.nan] * len(self.power.settling_values())
+        moments = [math.inf] * 3
         for _ in range(_MAX_SPIN_STEPS):
             self.fdm.run()
             if self._recent.maxlen:
                 self._recent.append(self._look())
-            rpm_before, rpm = rpm, self._rpm()
-            settled = abs(rpm - rpm_before) < 1e-9 * rpm or rpm == rpm_before
+            before, values = values, self.power.settling_values()
+            settled = at_rest(before, values)
             if settled and not self.has_lag:
                 return
             moments_before, moments = moments, [get() for get in self._moments]
             if settled and np.allclose(moments, moments_before, rtol=1e-9, atol=1e-12):
                 return
 
-    def fly(self) -> None:
-        """Set the clock to zero after placing."""
+    def fly(self, *, burn: bool = False) -> None:
+        """Set the clock to zero after placing; engines then burn fuel, or not."""
         self.fdm.set_sim_time(0.0)
+        self.power.freeze_fuel(frozen=not burn)
+
+    def check_engines(self) -> None:
+        """Check that the engines run.
+
+        Raises:
+            TrimError: one does not.
+        """
+        if not self.power.runs:
+            raise TrimError("an engine stops at the throttle of the trim (write another airspeed)")
 
     def accelerations(self, placement: Placement, controls: Controls, *, spin: bool) -> Array:
         """Return u̇, v̇, ẇ (m/s²), ṗ, q̇, ṙ (rad/s²) of a placement; see `place`."""
@@ -332,10 +340,10 @@ class JsbsimModel:
 
     def propeller_acceleration(self) -> float:
         """Return the rate of change of the propeller's speed, revolutions per s²."""
-        before = self._rpm()
+        before = self.power.propeller_rpm
         with self._step(_SHORT_STEP):
             self.fdm.run()
-        after = self._rpm()
+        after = self.power.propeller_rpm
         return float(after - before) / 60.0 / _SHORT_STEP
 
     @contextmanager
@@ -347,13 +355,13 @@ class JsbsimModel:
 
     @property
     def propeller_rps(self) -> float:
-        """Revolutions per second."""
-        return float(self._rpm()) / 60.0
+        """Revolutions per second of the first propeller; NaN without one."""
+        return self.power.propeller_rpm / 60.0
 
     def _command(self, controls: Controls) -> None:
         values = (controls.aileron, -controls.elevator, -controls.rudder, controls.throttle)
         for control, value in zip(self.controls, values, strict=True):
-            control.set_double_value(value)
+            control(value)
 
     def _initialise(self, placement: Placement, course: float, wind_ned: Vector) -> None:
         angles = (placement.roll, placement.pitch, course - placement.course)
@@ -377,19 +385,39 @@ class JsbsimModel:
             self._recent.clear()
 
 
+def find_probe_speed(model: JsbsimModel) -> float:
+    """Return the airspeed at which an aircraft is examined, m/s: that of a lift coefficient of 0.4.
+
+    It is 20 m/s for small aircraft that are slower.
+    """
+    model.locate((0.0, 0.0, -1000.0), NedOrigin())
+    ahead = Placement((SLOWEST_PROBE, 0.0, 0.0), STILL, 0.0, 0.0, 0.0)
+    model.place(ahead, Controls(0.0, 0.0, 0.0, 0.0), spin=False)
+    weight = model.node("inertia/weight-lbs").get_double_value()
+    area = model.node("metrics/Sw-sqft").get_double_value()
+    density = model.node("atmosphere/rho-slugs_ft3").get_double_value()
+    if not (0.0 < weight < math.inf and 0.0 < area < math.inf):
+        return SLOWEST_PROBE  # refused by its sizes
+    return max(SLOWEST_PROBE, FOOT * math.sqrt(2.0 * weight / (density * area * CRUISE_LIFT)))
+
+
 def find_traits(model: JsbsimModel) -> Traits:
     """Find traits by commands in flight; `model` must assume rudder and lag."""
-    ahead = Placement((20.0, 0.0, 0.0), STILL, 0.0, 0.0, 0.0)
+    model.probe_speed = find_probe_speed(model)
+    ahead = Placement((model.probe_speed, 0.0, 0.0), STILL, 0.0, 0.0, 0.0)
     neutral = Controls(0.0, 0.0, 0.0, 0.0)
     model.locate((0.0, 0.0, -1000.0), NedOrigin())
     before = model.accelerations(ahead, neutral, spin=True)
     yawed = model.accelerations(ahead, Controls(0.0, 0.0, 0.5, 0.0), spin=True)
     model.accelerations(ahead, neutral, spin=True)
     pulled = Controls(0.1, 0.1, 0.0, 0.0)
-    early, late = (model.accelerations(ahead, pulled, spin=False) for _ in range(2))
+    # moments that depend on the rate of the angle of attack settle in the second evaluation
+    _, early, late = (model.accelerations(ahead, pulled, spin=False) for _ in range(3))
     model.accelerations(ahead, neutral, spin=True)
     moved = model.accelerations_after_no_time(pulled)
     return Traits(
+        probe_speed=model.probe_speed,
+        has_engine=model.has_engine,
         lags_by_step=bool(np.max(np.abs(moved - before)) < _NO_EFFECT),
         has_rudder=bool(np.max(np.abs(yawed - before)) > _NO_EFFECT),
         has_lag=bool(np.max(np.abs(late - early)) > _NO_EFFECT),

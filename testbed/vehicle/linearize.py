@@ -7,7 +7,11 @@ commanded positions: servo lag is not a state. Terms in α̇ are in A, because J
 with the accelerations of the same time.
 
 The propeller's speed cannot be set in JSBSim. It is changed by letting the propeller settle at a
-slightly different throttle, and its acceleration is measured over one step of 10 µs.
+slightly different throttle, and its acceleration is measured over one step of 10 µs. The throttle
+of an engine that burns fuel moves pressures and temperatures too, which lag: there the propeller
+settles at a slightly different airspeed. The power of such an engine is that of its throttle; its
+lag is not a state. A propeller that a governor keeps at its speed, and an aircraft without
+propeller, have no state n.
 
 A mode is an eigenvalue, named by the states that take part in it. The participation of state k in
 mode i, |W_ik V_ki| with the right eigenvectors in V and W = V⁻¹, summing to 1 over the states, does
@@ -42,10 +46,15 @@ _STEPS = {
 }
 _CONTROL_STEP = 1e-3
 _THROTTLE_STEP = 0.01  # changes the propeller's speed
+_AIRSPEED_STEP = 0.01  # of the airspeed; the same of an engine that burns fuel
+_GOVERNED = 1e-4  # relative change of the speed, below which a governor keeps it
 
 
 class LinearModel(TrimModel, Protocol):
     """A flight model with the acceleration of its propeller."""
+
+    has_propeller: bool
+    throttle_lags: bool  # the power follows the throttle with a lag
 
     def propeller_acceleration(self) -> float:
         """Return the rate of change of the propeller's speed, revolutions per s²."""
@@ -53,34 +62,66 @@ class LinearModel(TrimModel, Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Linear:
-    """A and B about a trim, in the order of STATES and CONTROLS."""
+    """A and B about a trim, in the order of its k states and of CONTROLS."""
 
     trim: TrimResult
-    a: Array  # (9, 9)
-    b: Array  # (9, 4)
+    states: tuple[str, ...]  # of STATES: all, or all but n
+    a: Array  # (k, k)
+    b: Array  # (k, 4)
 
 
 def linearize(model: LinearModel, trim: TrimResult) -> Linear:
     """Linearise a flight model about a trim, at the position of the trim."""
-    held, idle = trim.controls, trim.controls.throttle
-    a, b = np.empty((9, 9)), np.empty((9, 4))
+    held, a, b = trim.controls, np.empty((9, 9)), np.empty((9, 4))
+    propeller = _of_propeller(model, trim)
     for j, name in enumerate(STATES):
         if name == "n":
-            low, high = _within(name, idle, _THROTTLE_STEP)
-            slow, back = _evaluate(model, trim, trim.placement, held, low)
-            fast, ahead = _evaluate(model, trim, trim.placement, held, high)
-            a[:, j] = (ahead - back) / (fast - slow)
+            a[:, j] = 0.0 if propeller is None else propeller
         else:
             step = _STEPS[name]
-            _, back = _evaluate(model, trim, _moved(trim.placement, name, -step), held, idle)
-            _, ahead = _evaluate(model, trim, _moved(trim.placement, name, step), held, idle)
+            _, back = _evaluate(model, trim, _moved(trim.placement, name, -step), held)
+            _, ahead = _evaluate(model, trim, _moved(trim.placement, name, step), held)
             a[:, j] = (ahead - back) / (2.0 * step)
     for j, name in enumerate(CONTROLS):
         low, high = _within(name, getattr(held, name), _CONTROL_STEP)
-        _, back = _evaluate(model, trim, trim.placement, replace(held, **{name: low}), idle)
-        _, ahead = _evaluate(model, trim, trim.placement, replace(held, **{name: high}), idle)
-        b[:, j] = (ahead - back) / (high - low)
-    return Linear(trim, a, b)
+        settled = name == "throttle" and model.throttle_lags
+        slow, back = _evaluate_control(model, trim, name, low, settled=settled)
+        fast, ahead = _evaluate_control(model, trim, name, high, settled=settled)
+        change = ahead - back
+        if settled and propeller is not None:
+            change -= propeller * (fast - slow)
+        b[:, j] = change / (high - low)
+    kept = [j for j, name in enumerate(STATES) if name != "n" or propeller is not None]
+    return Linear(trim, tuple(STATES[j] for j in kept), a[np.ix_(kept, kept)], b[kept])
+
+
+def _of_propeller(model: LinearModel, trim: TrimResult) -> Array | None:
+    """Return the derivatives (9,) by the propeller's speed; None: it is no state."""
+    if not model.has_propeller:
+        return None
+    if model.throttle_lags:
+        (slow, back), (fast, ahead) = (
+            _evaluate(model, trim, trim.placement, trim.controls, airspeed=1.0 + change)
+            for change in (-_AIRSPEED_STEP, _AIRSPEED_STEP)
+        )
+    else:
+        (slow, back), (fast, ahead) = (
+            _evaluate(model, trim, trim.placement, trim.controls, throttle=each)
+            for each in _within("n", trim.controls.throttle, _THROTTLE_STEP)
+        )
+    if abs(fast - slow) < _GOVERNED * abs(fast):
+        return None
+    derivatives: Array = (ahead - back) / (fast - slow)
+    return derivatives
+
+
+def _evaluate_control(
+    model: LinearModel, trim: TrimResult, name: str, value: float, *, settled: bool
+) -> tuple[float, Array]:
+    """Return the propeller's speed and ẋ (9,) with one control moved; settled: at its throttle."""
+    moved = replace(trim.controls, **{name: value})
+    throttle = value if settled else trim.controls.throttle
+    return _evaluate(model, trim, trim.placement, moved, throttle=throttle)
 
 
 def _evaluate(
@@ -88,15 +129,26 @@ def _evaluate(
     trim: TrimResult,
     placement: Placement,
     controls: Controls,
-    spin_throttle: float,
+    *,
+    throttle: float | None = None,
+    airspeed: float = 1.0,
 ) -> tuple[float, Array]:
-    """Return the propeller's speed and ẋ (9,), with the propeller settled at a throttle."""
-    model.accelerations(trim.placement, replace(controls, throttle=spin_throttle), spin=True)
+    """Return the propeller's speed and ẋ (9,) of a placement.
+
+    The propeller has settled in the trim, at a throttle, by default that of the trim, and at so
+    many times its airspeed.
+    """
+    idle = trim.controls.throttle if throttle is None else throttle
+    settling = trim.placement
+    if airspeed != 1.0:
+        u, v, w = (airspeed * each for each in settling.velocity_body)
+        settling = replace(settling, velocity_body=(u, v, w))
+    model.accelerations(settling, replace(controls, throttle=idle), spin=True)
     speed = model.propeller_rps
     du, dv, dw, dp, dq, dr = model.accelerations(placement, controls, spin=False).tolist()
     attitude = np.array([placement.roll, placement.pitch, 0.0])
     dphi, dtheta, _ = euler_rates(attitude, np.array(placement.rates_body)).tolist()
-    dn = model.propeller_acceleration()
+    dn = model.propeller_acceleration() if model.has_propeller else 0.0
     return speed, np.array([du, dw, dq, dtheta, dn, dv, dp, dr, dphi])
 
 
@@ -171,8 +223,8 @@ class NaturalMode:
         return math.log(2.0) / rate if rate else None
 
 
-def find_modes(a: Array) -> tuple[NaturalMode, ...]:
-    """Find the modes of A (9, 9) over `STATES`, the fastest first.
+def find_modes(a: Array, states: tuple[str, ...] = STATES) -> tuple[NaturalMode, ...]:
+    """Find the modes of A (k, k) over its states, the fastest first.
 
     Longitudinal pairs are the short period (largest participation of w and q) and the phugoid (u
     and θ). The lateral pair is the Dutch roll (v and r), and real lateral modes are roll (p) and
@@ -188,7 +240,7 @@ def find_modes(a: Array) -> tuple[NaturalMode, ...]:
             continue
         eigenvalue = complex(value) if value.imag > _REAL else complex(value.real, 0.0)
         # the two members of a pair have the same participation
-        participation = dict(zip(STATES, column.tolist(), strict=True))
+        participation = dict(zip(states, column.tolist(), strict=True))
         fit, name = _best_name(participation, oscillates=eigenvalue.imag > 0.0)
         found.append((fit, name, eigenvalue, participation))
     taken: set[str] = set()
@@ -203,7 +255,7 @@ def find_modes(a: Array) -> tuple[NaturalMode, ...]:
 
 def _best_name(part: dict[str, float], *, oscillates: bool) -> tuple[float, str]:
     """Return the fit of the best name, 0..1, and the name."""
-    if sum(part[name] for name in _LONGITUDINAL) > 0.5:
+    if sum(part.get(name, 0.0) for name in _LONGITUDINAL) > 0.5:
         names = (
             {"short period": ("w", "q"), "phugoid": ("u", "theta")}
             if oscillates
@@ -211,6 +263,6 @@ def _best_name(part: dict[str, float], *, oscillates: bool) -> tuple[float, str]
         )
     else:
         names = {"Dutch roll": ("v", "r")} if oscillates else {"roll": ("p",), "spiral": ("phi",)}
-    fits = {name: sum(part[state] for state in states) for name, states in names.items()}
+    fits = {name: sum(part.get(state, 0.0) for state in states) for name, states in names.items()}
     best = max(fits, key=lambda name: fits[name])
     return (fits[best], best) if fits[best] > _FIT else (0.0, "unclassified")

@@ -5,6 +5,9 @@ coordinated rate g tan φ / (V cos γ). The six unknowns are angle of attack, si
 elevator, rudder and throttle; the propeller turns at the speed where its torque balances the
 motor's.
 
+Without an engine the flight-path angle is the sixth unknown in place of the throttle: a glider
+descends at the angle that its airspeed gives.
+
 Without a rudder, one requirement is dropped. In straight flight the bank is free, which balances
 the propeller's torque; in a banked flight the turn rate is free.
 """
@@ -14,7 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -30,8 +33,11 @@ _MAX_STEP = np.array([0.08, 0.05, 0.3, 0.3, 0.3, 0.3])  # of one Newton iteratio
 _LOW = np.array([-0.3, -0.3, -1.0, -1.0, -1.0, 0.0])
 _HIGH = np.array([0.5, 0.3, 1.0, 1.0, 1.0, 1.0])
 _ITERATIONS = 40
+_PATIENCE = 8  # iterations without a smaller residual
 _STEADY = 1e-4  # m/s² and rad/s², largest acceptable residual
 _FIRST_THROTTLES = (0.3, 0.6, 0.9)  # thrust may fall with throttle while the propeller brakes
+_STEEPEST, _HIGHEST = -1.0, 0.2  # rad, flight-path angles of a glider
+_FIRST_DESCENTS = (-0.05, -0.15, -0.4)  # rad
 _CONVERGED = 1e-8  # m/s² and rad/s², residual at which the iteration ends
 
 
@@ -77,15 +83,16 @@ class Controls:
 class TrimResult:
     """Steady flight, and the controls that hold it."""
 
-    point: TrimPoint
+    point: TrimPoint  # of a glider with the flight-path angle that was found
     alpha: float  # rad
     beta: float  # rad
     turn_rate: float  # rad/s about the vertical, to the right positive
     controls: Controls
-    propeller_rps: float  # revolutions per second
+    propeller_rps: float  # revolutions per second; NaN without a propeller
     placement: Placement
     has_rudder: bool  # if not, the rudder command is zero and has no effect
     residual: float  # largest remaining acceleration, m/s² and rad/s²
+    has_engine: bool = True  # if not, the throttle is zero and has no effect
 
 
 class TrimModel(Protocol):
@@ -93,13 +100,21 @@ class TrimModel(Protocol):
 
     has_rudder: bool  # the rudder command has an effect
     has_lag: bool  # surfaces lag behind their commands, unless placed with `spin`
+    has_engine: bool  # if not, it is a glider
 
     def accelerations(self, placement: Placement, controls: Controls, *, spin: bool) -> Array:
         """Return u̇, v̇, ẇ (m/s²), ṗ, q̇, ṙ (rad/s²); with `spin` propeller and surfaces settle."""
 
     @property
     def propeller_rps(self) -> float:
-        """Revolutions per second."""
+        """Revolutions per second; NaN without a propeller."""
+
+    def check_engines(self) -> None:
+        """Check that the engines run.
+
+        Raises:
+            TrimError: one does not.
+        """
 
 
 def place(
@@ -187,26 +202,38 @@ def trim(model: TrimModel, point: TrimPoint) -> TrimResult:
     """Find steady flight by Newton's method with limited steps.
 
     Raises:
-        TrimError: the controls saturate, or the accelerations do not vanish.
+        TrimError: the controls saturate, the accelerations do not vanish, an engine stops, or a
+            glider is to fly a given flight-path angle.
     """
     if not point.airspeed > 0.0 or abs(point.bank) > 1.4 or abs(point.flight_path_angle) > 1.4:
         raise TrimError(f"{_words(point)}: airspeed must be positive, angles below 80°")
+    if not model.has_engine and point.flight_path_angle != 0.0:
+        raise TrimError(
+            f"{_words(point)}: it has no engine, so its flight-path angle follows from its "
+            "airspeed (leave the climb angle out)"
+        )
     best_x, best = np.zeros(6), np.inf
-    for throttle in _FIRST_THROTTLES:
-        x, size = _newton(model, point, throttle)
+    for first in _FIRST_THROTTLES if model.has_engine else _FIRST_DESCENTS:
+        x, size = _newton(model, point, first)
         if size < best:
             best_x, best = x, size
         if best <= _STEADY:
             break
     if best > _STEADY:
+        sixth = (
+            f"throttle {best_x[5]:.2f}"
+            if model.has_engine
+            else f"a flight-path angle of {math.degrees(best_x[5]):.1f}°"
+        )
         raise TrimError(
             f"{_words(point)}: no steady flight; accelerations of {best:.2g} m/s² or rad/s² "
-            f"remain at throttle {best_x[5]:.2f}, elevator {best_x[3]:+.2f}"
+            f"remain at {sixth}, elevator {best_x[3]:+.2f}"
         )
     residual = float(np.max(np.abs(_residual(model, point, best_x, spin=True))))
+    model.check_engines()
     placement, controls, turn_rate = _flight(model, point, best_x)
     return TrimResult(
-        point=point,
+        point=_flown_point(model, point, best_x),
         alpha=float(best_x[0]),
         beta=float(best_x[1]),
         turn_rate=turn_rate,
@@ -215,32 +242,41 @@ def trim(model: TrimModel, point: TrimPoint) -> TrimResult:
         placement=placement,
         has_rudder=model.has_rudder,
         residual=residual,
+        has_engine=model.has_engine,
     )
 
 
-def _newton(model: TrimModel, point: TrimPoint, throttle: float) -> tuple[Array, float]:
-    """Iterate from a first throttle; return the best unknowns and their largest acceleration."""
-    x = np.array([0.0, 0.0, 0.0, 0.0, 0.0, throttle])
+def _newton(model: TrimModel, point: TrimPoint, first: float) -> tuple[Array, float]:
+    """Iterate from a first value of the sixth unknown.
+
+    Returns:
+        The best unknowns (6,), and their largest acceleration.
+    """
+    x = np.array([0.0, 0.0, 0.0, 0.0, 0.0, first])
+    low, high = _LOW.copy(), _HIGH.copy()
+    if not model.has_engine:
+        low[5], high[5] = _STEEPEST, _HIGHEST
     f = _residual(model, point, x, spin=True)
-    best_x, best = x, np.inf
+    best_x, best, since = x, np.inf, 0
     for _ in range(_ITERATIONS):
         size = float(np.max(np.abs(f)))
+        since += 1
         if size < best:
-            best_x, best = x, size
-        if size < _CONVERGED:
+            best_x, best, since = x, size, 0
+        if size < _CONVERGED or since > _PATIENCE:
             break
         jacobian = np.empty((6, 6))
         for j in range(6):
-            step = -_STEP[j] if x[j] + _STEP[j] > _HIGH[j] else _STEP[j]
+            step = -_STEP[j] if x[j] + _STEP[j] > high[j] else _STEP[j]
             moved = x.copy()
             moved[j] += step
-            spin = j == 5 or (model.has_lag and j >= 2)
+            spin = (j == 5 and model.has_engine) or (model.has_lag and j >= 2)
             jacobian[:, j] = (_residual(model, point, moved, spin=spin) - f) / step
         if not np.isfinite(jacobian).all():
             break  # outside the range of the model
         newton = np.linalg.lstsq(jacobian, -f, rcond=None)[0]
         newton *= min(1.0, float(np.min(_MAX_STEP / np.maximum(np.abs(newton), 1e-12))))
-        x = np.minimum(_HIGH, np.maximum(_LOW, x + newton))
+        x = np.minimum(high, np.maximum(low, x + newton))
         f = _residual(model, point, x, spin=True)
     return best_x, best
 
@@ -252,7 +288,9 @@ def _residual(model: TrimModel, point: TrimPoint, x: Array, *, spin: bool) -> Ar
 
 def _flight(model: TrimModel, point: TrimPoint, x: Array) -> tuple[Placement, Controls, float]:
     """Return placement, controls and turn rate of the unknowns; the fifth balances yaw."""
-    alpha, beta, aileron, elevator, fifth, throttle = (float(value) for value in x)
+    alpha, beta, aileron, elevator, fifth, sixth = (float(value) for value in x)
+    point = _flown_point(model, point, x)
+    throttle = sixth if model.has_engine else 0.0
     turn = coordinated_turn(point)
     if model.has_rudder:
         placement = place(point, alpha, beta)
@@ -262,6 +300,11 @@ def _flight(model: TrimModel, point: TrimPoint, x: Array) -> tuple[Placement, Co
         return place(point, alpha, beta, bank=fifth, turn_rate=0.0), controls, 0.0
     turn += fifth
     return place(point, alpha, beta, turn_rate=turn), controls, turn
+
+
+def _flown_point(model: TrimModel, point: TrimPoint, x: Array) -> TrimPoint:
+    """Return the point with the flight-path angle of a glider."""
+    return point if model.has_engine else replace(point, flight_path_angle=float(x[5]))
 
 
 def _words(point: TrimPoint) -> str:
@@ -281,9 +324,10 @@ class InitialState:
     position_ned: Vector  # m from the origin
     course: float = 0.0  # rad, over the ground
     airspeed: float = 22.0  # true, m/s
-    flight_path_angle: float = 0.0  # rad, through the air
+    flight_path_angle: float = 0.0  # rad, through the air; a glider's follows from its airspeed
     bank: float = 0.0  # rad
     wind_ned: Vector = STILL  # m/s, initial velocity of the air
     state_of_charge: float = 1.0  # 0..1 of its battery, where it has one
     cells: int = 0  # of its battery, in series; 0: those of the airframe
     temperature_offset: float = 0.0  # K, of the air, to the standard atmosphere
+    fuel_burn: bool = False  # its engines burn fuel; if not, its mass is constant

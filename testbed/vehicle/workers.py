@@ -163,7 +163,7 @@ class ParallelFleet(JsbsimFleet):
                 self._changed[WIND] = True
             for i in rows:
                 if not np.isnan(self._charge[i]):
-                    self._models[i].discharge(float(self._charge[i]))
+                    self._models[i].power.discharge(float(self._charge[i]))
                     self._charge[i] = np.nan
                 if self._removed[i] and self._runs[i] is not None:
                     self._stop(i)

@@ -20,8 +20,13 @@ from testbed.vehicle import (
     forked_trial,
     jsbsim_adapter,
 )
-from testbed.vehicle.jsbsim_adapter import airframe, load_executive, probe_airframes
-from testbed.vehicle.jsbsim_model import AircraftError
+from testbed.vehicle.jsbsim_adapter import (
+    airframe,
+    airframe_warnings,
+    load_executive,
+    probe_airframes,
+)
+from testbed.vehicle.powerplant import AircraftError
 
 DATA = Path(__file__).parents[1] / "data"
 MAIN, MOTOR = "rascal110.xml", "Engines/rascal110_motor.xml"
@@ -132,46 +137,38 @@ def test_impossible_size_when_loaded_is_named(folder, name):
     assert f"{folder / MAIN}: {name} is -" in error_of(folder)
 
 
-FLIES = "; the testbed flies aircraft with one electric engine and its propeller"
-SECOND = '<engine file="rascal110_motor"><thruster file="propeller_18in"/></engine>'
+PART = '<{0} name="x"/>'
+GAS = '<buoyant_forces><gas_cell type="HELIUM"/></buoyant_forces>'
 
 
 @pytest.mark.parametrize(
-    ("file", "old", "new", "message"),
+    ("file", "content", "at", "message"),
     [
-        (MOTOR, "electric_engine", "piston_engine", "rascal110 has a piston engine"),
-        (MOTOR, "electric_engine", "turbine_engine", "rascal110 has a turbine"),
-        (MOTOR, "electric_engine", "turboprop_engine", "rascal110 has a turboprop"),
-        (MOTOR, "electric_engine", "rocket_engine", "rascal110 has a rocket"),
-        (PROPELLER, "propeller", "nozzle", "rascal110 has a nozzle"),
-        (MAIN, "<tank", f"{SECOND}<tank", "rascal110 has 2 engines"),
+        (MOTOR, PART.format("rocket_engine"), (MOTOR, 1), "has a rocket engine, which has no"),
+        (PROPELLER, PART.format("nozzle"), (PROPELLER, 1), "has the nozzle of a rocket engine"),
+        (PROPELLER, PART.format("rotor"), (PROPELLER, 1), "has a rotor: it is no aeroplane"),
+        (MAIN, f"{GAS}<propulsion>", (MAIN, "<propulsion>"), "is carried by a gas cell"),
+        (MOTOR, PART.format("turbine_engine"), (MAIN, "<engine"), "has a turbine on a propeller"),
+        (PROPELLER, PART.format("direct"), (MAIN, "<engine"), "an electric engine on a <direct>"),
     ],
 )
-def test_engine_not_flown_is_named_before_use(folder, file, old, new, message):
-    text = (folder / file).read_text()
+def test_what_is_no_aeroplane_is_refused(folder, file, content, at, message):
+    place, line = at
+    if isinstance(line, str):
+        text = (folder / place).read_text()
+        line = text[: text.index(line)].count("\n") + 1
     if file == MAIN:
-        line = change(folder / file, old, new)
+        change(folder / MAIN, "<propulsion>", content)
     else:
-        # an engine without its own elements: those of the other kind are not known in it
-        line = text[: text.index(f"<{old}")].count("\n") + 1
-        (folder / file).write_text("\n" * (line - 1) + f'<{new} name="x"/>')
+        (folder / file).write_text(content)
     found = error_of(folder)
-    assert found.startswith(f"{folder / file}:{line}: {message}{FLIES}")
-    assert "steady flight" not in found
+    assert found.startswith(f"{folder / place}:{line}: rascal110 ")
+    assert message in found
+    assert "\n" not in found and "steady flight at" not in found
 
 
-@pytest.mark.parametrize(
-    ("name", "has"),
-    [
-        ("c172p", "a piston engine"),
-        ("J3Cub", "a piston engine"),
-        ("DHC6", "a turboprop"),
-        ("T37", "a turbine"),
-        ("SGS", "no engine"),
-    ],
-)
-def test_aircraft_of_jsbsim_pass_but_for_the_engine(tmp_path, name, has):
-    """Files that people have: the reason is the engine, not an element of the XML."""
+def jsbsim_aircraft(tmp_path, name):
+    """Copy an aircraft of the installed JSBSim, with all engines and systems."""
     data = Path(jsbsim_root())
     for source, target in (
         ("engine", "Engines"),
@@ -179,15 +176,43 @@ def test_aircraft_of_jsbsim_pass_but_for_the_engine(tmp_path, name, has):
         (f"aircraft/{name}", "."),
     ):
         shutil.copytree(data / source, tmp_path / name / target, dirs_exist_ok=True)
-    error = error_of(tmp_path / name)
-    assert f": {name} has {has}{FLIES}" in error
+    return tmp_path / name
 
 
-def test_aircraft_without_engine_is_named(folder):
-    text = (folder / MAIN).read_text()
-    begin, end = text.index("<propulsion>"), text.index("</propulsion>")
-    (folder / MAIN).write_text(text[:begin] + text[end + len("</propulsion>") :])
-    assert f"{folder / MAIN}:1: rascal110 has no engine{FLIES}" in error_of(folder)
+@pytest.mark.parametrize("name", ["c172p", "J3Cub", "DHC6", "T37", "SGS", "A4"])
+def test_aircraft_of_jsbsim_are_allowed(tmp_path, name):
+    """Files that people have: pistons, turboprops, jets, and a glider."""
+    airframe_validation.check_airframe(jsbsim_aircraft(tmp_path, name))
+
+
+def test_all_faults_are_reported_at_once(folder):
+    """In the order of the files, with what is below an unknown element left out."""
+    faults = [
+        (MAIN, "<mass_balance>", '<input port="1"><x/></input><mass_balance>', "<input> opens"),
+        (MAIN, "> 13 </emptywt>", "> -13 </emptywt>", "<emptywt> is -13"),
+        (MAIN, "<propulsion>", '<system file="no"/><propulsion>', "file='no': there is no"),
+        (MAIN, "<aerodynamics>", "<aerodynamic/><aerodynamics>", "<aerodynamic> is not known"),
+        (PROPELLER, "> 18 <", "> -18 <", "<diameter> is -18"),
+        (MOTOR, "<power", f"<property>{WRITE}</property><power", f"the property {WRITE}"),
+    ]
+    lines = [(file, change(folder / file, old, new), text) for file, old, new, text in faults]
+    found = error_of(folder).splitlines()
+    assert len(found) == len(lines)
+    for file, line, text in lines:
+        start = f"{folder / file}:{line}: {text}"
+        assert any(each.startswith(start) for each in found), start
+    change(folder / PROPELLER, "> -18 <", "> 18 <")
+    assert len(error_of(folder).splitlines()) == len(lines) - 1
+
+
+def test_inertia_of_estimates_is_a_warning(folder):
+    """A principal moment may be a third larger than the sum of the others, with a warning."""
+    assert airframe_warnings(folder) == ()
+    change(folder / MAIN, "> 1.95 <", "> 0.1 <")
+    (text,) = airframe_warnings(folder)
+    assert f"{folder / MAIN}: mass_balance: no rigid body has" in text and "% less than J3" in text
+    change(folder / MAIN, "> 1.91 <", "> 2.91 <")
+    assert "J1 + J2 ≥ J3 fails" in error_of(folder)
 
 
 @pytest.mark.parametrize("name", ["Engines", "engines", "Engine", "engine"])
@@ -301,7 +326,7 @@ def test_traits_are_determined_once_per_content(folder, monkeypatch):
     probe_airframes([folder])
     airframe(folder)
     assert len(calls) == 1
-    change(folder / MAIN, "> 1.95 <", "> 0.01 <")
+    change(folder / MAIN, "> 1.95 <", "> 9.5 <")
     probe_airframes([folder])
     assert len(calls) == 2
     assert "mass_balance: no rigid body has" in error_of(folder)

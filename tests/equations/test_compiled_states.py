@@ -79,8 +79,8 @@ def test_rows_run_with_inputs_like_a_fleet():
     for node, value in zip((*model.winds, *model.turns), wind[0], strict=True):
         node.set_double_value(value)
     for tick in range(4):
-        for node, value in zip(model.controls, (controls if tick else first)[0], strict=True):
-            node.set_double_value(value)
+        for command, value in zip(model.controls, (controls if tick else first)[0], strict=True):
+            command(value)
         model.fdm.run()
     comparison.row = state[0]
     comparison.check("4 steps after a change")

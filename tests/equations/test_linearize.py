@@ -7,7 +7,7 @@ import pytest
 
 from testbed.core.frames import euler_rates
 from testbed.vehicle.identify import FirstOrder, fit_first_order
-from testbed.vehicle.jsbsim_adapter import impossible_inertia
+from testbed.vehicle.inertia import impossible_inertia, unlikely_inertia
 from testbed.vehicle.linearize import CONTROLS, STATES, find_modes, linearize
 from testbed.vehicle.trim import (
     Controls,
@@ -29,6 +29,8 @@ class LinearAircraft:
 
     has_rudder = True
     has_lag = False
+    has_engine = has_propeller = True
+    throttle_lags = False
 
     def __init__(self, seed):
         rng = np.random.default_rng(seed)
@@ -219,11 +221,15 @@ def test_which_tensors_a_rigid_body_can_have():
         )
         assert impossible_inertia(tensor) is None
     plate = np.diag([1.0, 2.0, 3.0])
-    assert impossible_inertia(plate) is None
-    assert "J1 + J2 ≥ J3 fails: 3 < 3.1" in impossible_inertia(plate + np.diag([0, 0, 0.1]))
+    assert impossible_inertia(plate) is None and unlikely_inertia(plate) == ""
+    # estimates a fifth too small and too large are unlikely, larger errors impossible
+    estimated = plate * [0.8, 0.8, 1.19]
+    assert impossible_inertia(estimated) is None
+    assert "J1 + J2 is 33 % less than J3" in unlikely_inertia(estimated)
+    assert "J1 + J2 ≥ J3 fails: 3 < 4.6" in impossible_inertia(plate + np.diag([0, 0, 1.6]))
     assert "J1 > 0 fails" in impossible_inertia(np.diag([1.0, 1.0, -0.5]))
     assert "they must be finite" in impossible_inertia(np.diag([1.0, 1.0, np.nan]))
     # The diagonal alone satisfies the inequalities; the products break them.
     coupled = np.diag([1.0, 1.0, 1.0])
     coupled[0, 2] = coupled[2, 0] = 0.6
-    assert "0.4" in impossible_inertia(coupled)
+    assert "0.4" in unlikely_inertia(coupled)

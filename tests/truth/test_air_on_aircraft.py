@@ -20,7 +20,8 @@ from testbed.scenario import find_aircraft, load_scenario, set_duration
 from testbed.vehicle.environment import INTEGRATORS, JSBSIM_DEFAULT_INTEGRATORS
 from testbed.vehicle.fleet import JsbsimFleet
 from testbed.vehicle.jsbsim_adapter import airframe, trim_aircraft
-from testbed.vehicle.jsbsim_model import AircraftError, JsbsimModel
+from testbed.vehicle.jsbsim_model import JsbsimModel
+from testbed.vehicle.powerplant import AircraftError
 from testbed.vehicle.trim import InitialState, TrimError, TrimPoint
 
 AIRCRAFT = {"rascal110": 22.0, "skywalker_x8": 18.0}

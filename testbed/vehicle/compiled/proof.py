@@ -147,7 +147,7 @@ class Comparison:
         model.locate((0.0, 0.0, float(-height)), origin)
         model.node("atmosphere/delta-T").set_double_value(float(random.uniform(-40.0, 40.0)))
         if self._battery:
-            model.charge(float(random.uniform(0.1, 1.0)))
+            model.power.charge(float(random.uniform(0.1, 1.0)))
         share = 0.1 if calm else 1.0
         x, y, z = (random.uniform(-1.0, 1.0, 3) * share).tolist()
         velocity = (20.0 + 15.0 * x, 10.0 * y, 10.0 * z)
