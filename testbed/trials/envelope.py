@@ -44,7 +44,7 @@ class Envelope:
     @property
     def glides(self) -> bool:
         """Whether the aircraft has no engine: what is level of others is a descent."""
-        return self.cruise.point.flight_path_angle != 0.0
+        return not self.cruise.has_engine
 
 
 def find_envelope(

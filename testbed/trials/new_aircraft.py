@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 from testbed.core.errors import InputError
-from testbed.core.frames import GRAVITY
 from testbed.core.records import NedOrigin
 from testbed.scenario import MiddleLoopGains
 from testbed.trials.check_flight import CheckFlight, check_and_soften
@@ -25,12 +24,11 @@ from testbed.trials.first_gains import (
 )
 from testbed.trials.speed_step import SpeedStep, speed_step
 from testbed.trials.step_responses import StepResponses, measure_steps, start_of
-from testbed.vehicle.jsbsim_adapter import airframe, trim_aircraft
+from testbed.vehicle.jsbsim_adapter import airframe, find_cruise, trim_aircraft
 from testbed.vehicle.trim import TrimError, TrimPoint, TrimResult
 
 ALTITUDE = 400.0  # m above sea level, of all trims
-_CRUISE_LIFT = 0.4  # lift coefficient of the first speed that is tried
-_SPEEDS = (1.0, 1.25, 0.85, 1.6)  # of that speed, in the order in which they are tried
+_SLOW = 20.0  # m/s: slower cruises are rounded to 0.1 m/s, others to 1 m/s
 _DENSITY = 1.179  # kg/m³, of the standard atmosphere at ALTITUDE
 _SPEED_CHANGE = 0.02  # of the cruise, for slopes over speed
 _BANK, _CLIMB = math.radians(30.0), math.radians(2.0)
@@ -69,7 +67,7 @@ def derive(
         InputError: its controls have no effect, or it cannot follow the autopilot.
     """
     report("trim")
-    cruise = find_cruise(folder, airspeed)
+    cruise = _find_cruise(folder, airspeed)
     report(f"speed range, from {cruise.point.airspeed:.4g} m/s")
     point = requested(cruise)
     _, origin = start_of(point)
@@ -106,38 +104,14 @@ def derive(
     )
 
 
-def find_cruise(folder: Path, airspeed: float | None = None) -> TrimResult:
-    """Find level flight at a speed, or near a lift coefficient of 0.4.
-
-    Raises:
-        AircraftError: the aircraft cannot be loaded.
-        TrimError: there is no steady flight at any of the speeds.
-    """
-    tried: list[str] = []
-    if airspeed is None:
-        size = airframe(folder)
-        first = math.sqrt(2.0 * size.mass * GRAVITY / (_DENSITY * size.area * _CRUISE_LIFT))
-        speeds = [_rounded(first * factor) for factor in _SPEEDS]
-    else:
-        speeds = [airspeed]
-    for speed in speeds:
-        point = TrimPoint(speed, altitude=ALTITUDE)
-        try:
-            return trim_aircraft(folder, point, start_of(point)[1])
-        except TrimError as error:
-            tried.append(f"at {speed:g} m/s {_reason(error)}")
-    raise TrimError(
-        f"{folder.name}: no steady level flight {ALTITUDE:g} m above the sea: {'; '.join(tried)}"
-    )
-
-
-def _reason(error: TrimError) -> str:
-    return str(error).rpartition("no steady flight; ")[2]
-
-
-def _rounded(speed: float) -> float:
-    """Round a speed to 1 m/s, or to 0.1 m/s below 20 m/s."""
-    return round(speed, 0 if speed >= 20.0 else 1)
+def _find_cruise(folder: Path, airspeed: float | None) -> TrimResult:
+    """Find level flight at a speed, or at a round one near a lift coefficient of 0.4."""
+    speed = airspeed
+    if speed is None:
+        found = find_cruise(folder, altitude=ALTITUDE).point.airspeed
+        speed = round(found, 0 if found >= _SLOW else 1)
+    point = TrimPoint(speed, altitude=ALTITUDE)
+    return trim_aircraft(folder, point, start_of(point)[1])
 
 
 def _level_flight(folder: Path, envelope: Envelope, origin: NedOrigin) -> LevelFlight:

@@ -80,7 +80,7 @@ def measure_steps(folder: Path, point: TrimPoint) -> StepResponses:
     fleet = JsbsimFleet([folder] * (3 + len(RUDDER_MIXES)), [start] * (3 + len(RUDDER_MIXES)),
                         origin, RATE_HZ)  # fmt: skip
     first = fleet.read()
-    has_engine = fleet.trims[0].point.flight_path_angle == 0.0  # a glider's is what it flies
+    has_engine = fleet.trims[0].has_engine
     held = fleet.trimmed
     surfaces = ActuatorCommand(*(each.copy() for each in held))
     mixed = slice(3, None)

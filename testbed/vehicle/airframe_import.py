@@ -18,8 +18,9 @@ from xml.sax.saxutils import escape
 
 from testbed.core.input_files import read_bounded
 from testbed.vehicle.airframe_grammar import GRAMMAR, MAIN
-from testbed.vehicle.airframe_validation import MAX_BYTES, MAX_FILES, FileLine
-from testbed.vehicle.jsbsim_model import AircraftError
+from testbed.vehicle.airframe_power import FileLine
+from testbed.vehicle.airframe_validation import MAX_BYTES, MAX_FILES
+from testbed.vehicle.powerplant import AircraftError
 
 MAX_DECLARED = 40  # properties that other programs give an aircraft
 _CUT = ("output", "input")

@@ -11,7 +11,7 @@ from testbed.vehicle.airframe_import import (
     declare,
     declare_missing,
 )
-from testbed.vehicle.jsbsim_model import AircraftError
+from testbed.vehicle.powerplant import AircraftError
 
 MAIN = b"""<?xml version="1.0"?>
 <!-- kite -->
