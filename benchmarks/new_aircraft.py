@@ -9,14 +9,18 @@ its folder; it trims if it flies, or if the reason of the refusal begins after i
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
-import subprocess
+import multiprocessing
+import os
 import sys
 import tempfile
 import time
 from pathlib import Path
 from typing import Any
 
+import testbed.cli.main
+import testbed.trials.aircraft_files  # once for all, before the first fork
 from testbed.vehicle.jsbsim_adapter import SHARED_FILES
 
 LONGEST_S = 300.0
@@ -32,24 +36,39 @@ def aircraft_files() -> list[Path]:
 
 def try_aircraft(file: Path, into: Path) -> dict[str, Any]:
     """Return the document of the command, or the reason of its refusal, and the time it took."""
-    command = [sys.executable, "-m", "testbed", "new", "aircraft", str(file)]
     began = time.monotonic()
-    try:
-        done = subprocess.run(
-            [*command, "--into", str(into), "--json", "-"],
-            capture_output=True,
-            text=True,
-            timeout=LONGEST_S,
-            check=False,
+    with tempfile.TemporaryDirectory() as scratch:
+        document, errors = Path(scratch, "found.json"), Path(scratch, "errors.txt")
+        arguments = "new", "aircraft", str(file), "--into", str(into), "--json", str(document)
+        process = multiprocessing.get_context("fork").Process(
+            target=_run_command, args=(arguments, errors)
         )
-        code, out, err = done.returncode, done.stdout, done.stderr
-    except subprocess.TimeoutExpired:
-        code, out, err = -1, "", f"error: not done after {LONGEST_S:g} s"
-    found = {"name": file.stem, "code": code, "seconds": time.monotonic() - began}
-    if code == 0:
-        return found | json.loads(out)
-    errors = err.partition("error: ")[2] or err.strip().rpartition("\n")[2]
-    return found | {"reason": errors.strip().replace(f"{file.parent}/", "")}
+        process.start()
+        process.join(LONGEST_S)
+        if process.exitcode is None:
+            process.kill()
+            process.join()
+        found = {
+            "name": file.stem,
+            "code": process.exitcode,
+            "seconds": time.monotonic() - began,
+        }
+        if process.exitcode == 0:
+            return found | json.loads(document.read_text(encoding="utf-8"))
+        text = errors.read_text(encoding="utf-8")
+    reason = text.partition("error: ")[2] or text.strip().rpartition("\n")[2]
+    return found | {"reason": reason.strip().replace(f"{file.resolve().parent}/", "")}
+
+
+def _run_command(arguments: tuple[str, ...], errors: Path) -> None:
+    sys.argv = ["testbed", *arguments]
+    with (
+        errors.open("w", encoding="utf-8") as file,
+        Path(os.devnull).open("w", encoding="utf-8") as nothing,
+        contextlib.redirect_stderr(file),
+        contextlib.redirect_stdout(nothing),
+    ):
+        testbed.cli.main.main()
 
 
 def row(found: dict[str, Any]) -> str:

@@ -149,7 +149,8 @@ def fly_check(
     fleet = JsbsimFleet([folder], [start], origin, RATE_HZ)
     period = round(RATE_HZ / params.sched_loop_rate)
     autopilots = settled_autopilots(make_gains([params], period / RATE_HZ), fleet.trimmed)
-    pitch = fleet.read().euler[0, 1] - math.radians(params.ptch_trim_deg)
+    level = fleet.read().euler[0, 1]
+    offset = level - math.radians(params.ptch_trim_deg)  # of a command that holds the trim
     rows: list[tuple[float, ...]] = []
     for tick in range(0, round(DURATION_S * RATE_HZ), period):
         state, air = fleet.read(), fleet.air()
@@ -157,30 +158,30 @@ def fly_check(
             break
         bank_deg, change_deg = _command(tick / RATE_HZ)
         command = FbwaCommand(
-            pitch=np.array([pitch + math.radians(change_deg)]),
+            pitch=np.array([offset + math.radians(change_deg)]),
             roll=np.array([math.radians(bank_deg)]),
             throttle=fleet.trimmed.throttle,
         )
         surfaces = step_autopilots(autopilots, state, command)
-        roll_now, pitch_now = state.euler[0, :2]
+        roll, pitch = state.euler[0, :2]
         rows.append(
             (
                 tick / RATE_HZ,
-                math.degrees(roll_now),
-                math.degrees(pitch_now - pitch),
+                math.degrees(roll),
+                math.degrees(pitch - level),
                 math.degrees(air.beta[0]),
                 surfaces.elevator[0],
             )
         )
         fleet.step(surfaces, period)
-    time, roll, change, beta, elevator = np.array(rows).T
+    time, bank, change, beta, elevator = np.array(rows).T
     complete = time[-1] >= DURATION_S - 2.0 * period / RATE_HZ
     return CheckFlight(
         params=params,
         softenings=softenings,
-        roll=_response(time, roll, 1),
+        roll=_response(time, bank, 1),
         pitch=_response(time, change, 2),
-        bank_error_deg=_bank_error(time, roll),
+        bank_error_deg=_bank_error(time, bank),
         sideslip_deg=float(np.abs(beta).max()),
         elevator=float(np.abs(elevator).max()),
         flown_s=DURATION_S if complete else float(time[-1]),

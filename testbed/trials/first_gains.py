@@ -29,7 +29,8 @@ class LevelFlight:
     airspeed: float
     lowest: float  # of level flight
     highest: float
-    throttle: float  # at `airspeed`
+    pitch: float  # rad, at `airspeed`
+    throttle: float  # the same
     throttle_per_speed: float  # per m/s
     throttle_per_climb: float  # per sine of the flight path angle
     throttle_per_bank: float  # per 1/cos² φ − 1
@@ -60,6 +61,7 @@ def first_params(steps: StepResponses, level: LevelFlight) -> FbwaParams:
         "roll_limit_deg": ROLL_LIMIT_DEG,
         "ptch_lim_max_deg": PITCH_LIMIT_DEG,
         "ptch_lim_min_deg": -PITCH_LIMIT_DEG,
+        "ptch_trim_deg": math.degrees(level.pitch),
         "trim_throttle": 100.0 * level.throttle,
         "kff_rddrmix": steps.rudder_mix,
         "rll2srv_tconst": roll_tconst,
@@ -114,13 +116,14 @@ def first_middle_loop(
         "course": _gains(p=course, i=0.01 * course),
         "course_feedback": "inside_arctangent",
         "speed": _gains(p=speed, i=0.13 * speed),
-        "eta_speed": _rounded(level.throttle_per_speed),
-        "eta_bank": _rounded(level.throttle_per_bank),
+        # less throttle for more speed is a matter of slow flight, and no feed-forward
+        "eta_speed": _rounded(max(level.throttle_per_speed, 0.0)),
+        "eta_bank": _rounded(max(level.throttle_per_bank, 0.0)),
         "trim_throttle": _rounded(level.throttle),
         "trim_airspeed_mps": _rounded(level.airspeed),
         "feed_forwards": {
             "turn_incidence_deg": _rounded(math.degrees(level.incidence_per_load)),
-            "eta_climb": _rounded(level.throttle_per_climb),
+            "eta_climb": _rounded(max(level.throttle_per_climb, 0.0)),
         },
         "limits": {"pitch_deg": PITCH_LIMIT_DEG, "roll_deg": ROLL_LIMIT_DEG},
     }
@@ -134,8 +137,8 @@ def first_guidance(middle_loop: Mapping[str, Any], level: LevelFlight) -> dict[s
         "incidence_per_load": _rounded(level.incidence_per_load),
         "speed": middle_loop["speed"]["p"],
         "speed_integral": middle_loop["speed"]["i"],
-        "throttle_per_climb": _rounded(level.throttle_per_climb / level.airspeed),
-        "throttle_per_bank": _rounded(level.throttle_per_bank),
+        "throttle_per_climb": _rounded(max(level.throttle_per_climb, 0.0) / level.airspeed),
+        "throttle_per_bank": _rounded(max(level.throttle_per_bank, 0.0)),
     }
 
 

@@ -148,6 +148,7 @@ def _level_flight(folder: Path, envelope: Envelope, origin: NedOrigin) -> LevelF
         airspeed=speed,
         lowest=envelope.lowest,
         highest=envelope.highest,
+        pitch=cruise.placement.pitch,
         throttle=throttle,
         throttle_per_speed=per_speed,
         throttle_per_climb=per_climb,
