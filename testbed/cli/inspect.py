@@ -78,7 +78,7 @@ def trim_command(
     _show_warnings(folder)
     result = trim_aircraft(folder, point, origin)
     document = {"aircraft": folder.name, **trim_document(result)}
-    _write_result(json, document, _headline(folder, result.point), _trim_table(result))
+    _write_result(json, document, _headline(folder, result), _trim_table(result))
 
 
 def linearize_command(
@@ -109,7 +109,7 @@ def linearize_command(
         "b": linear.b.tolist(),
         "modes": [_mode_document(mode) for mode in modes],
     }
-    _write_result(json, document, _headline(folder, linear.trim.point), _modes_table(modes))
+    _write_result(json, document, _headline(folder, linear.trim), _modes_table(modes))
 
 
 def _show_warnings(folder: Path) -> None:
@@ -277,8 +277,8 @@ def trim_document(result: TrimResult) -> dict[str, Any]:
     point, controls = result.point, result.controls
     return {
         "airspeed_mps": point.airspeed,
-        "climb_deg": math.degrees(point.flight_path_angle),
-        "climb_mps": point.airspeed * math.sin(point.flight_path_angle),
+        "climb_deg": math.degrees(result.flight_path_angle),
+        "climb_mps": point.airspeed * math.sin(result.flight_path_angle),
         "altitude_m": point.altitude,
         "bank_deg": math.degrees(result.placement.roll),
         "pitch_deg": math.degrees(result.placement.pitch),
@@ -306,9 +306,10 @@ def _trim_point(
     return point, NedOrigin(elevation_m=altitude - ABOVE_GROUND)
 
 
-def _headline(folder: Path, point: TrimPoint) -> Text:
+def _headline(folder: Path, result: TrimResult) -> Text:
+    point, flight_path = result.point, round(math.degrees(result.flight_path_angle), 2)
     line = Text.assemble(" ", (folder.name, "bold"), f" · {point.airspeed:g} m/s")
-    line.append(f" · flight path {round(math.degrees(point.flight_path_angle), 2):g}°")
+    line.append(f" · flight path {flight_path:g}°")
     line.append(f" · bank {math.degrees(point.bank):g}° · altitude {point.altitude:g} m")
     return line
 
@@ -341,7 +342,7 @@ def _trim_table(result: TrimResult) -> Table:
 
 
 def _turn_radius(result: TrimResult) -> float | None:
-    level = result.point.airspeed * math.cos(result.point.flight_path_angle)
+    level = result.point.airspeed * math.cos(result.flight_path_angle)
     return level / abs(result.turn_rate) if result.turn_rate else None
 
 
@@ -349,7 +350,7 @@ def _load_factor(result: TrimResult) -> float:
     """Aerodynamic and propeller force over the weight."""
     from testbed.core.frames import GRAVITY
 
-    level = result.point.airspeed * math.cos(result.point.flight_path_angle)
+    level = result.point.airspeed * math.cos(result.flight_path_angle)
     return math.hypot(1.0, result.turn_rate * level / GRAVITY)
 
 

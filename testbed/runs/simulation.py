@@ -212,10 +212,12 @@ class Simulation:
             raise InputError(f"{self.directory}: a flight that writes files cannot be saved")
         models = self._world.fleet
         if models is not None and models.engine != "compiled":
-            raise InputError(
-                "engine: jsbsim: flight models outside Python cannot be saved (write "
-                "scenario.engine=compiled into the overrides)"
+            cure = (
+                f"; {models.engine_reason}"
+                if models.engine_reason
+                else " (write scenario.engine=compiled into the overrides)"
             )
+            raise InputError(f"engine: jsbsim: flight models outside Python cannot be saved{cure}")
         of_user = {"observers": self._further, "stages": self._stages}  # first, to be named so
         state = SavedState(**of_user, flight=self._flight, meter=self._meter, events=self.events)
         return SavedFlight(self._flight, state, self.time_s, self.outcome)

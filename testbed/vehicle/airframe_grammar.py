@@ -341,7 +341,7 @@ JSBSIM_PROPERTIES = frozenset(
 )
 _SETTABLE = re.compile(
     r"(aero|buoyant_forces|contact|external_reactions|fcs|gear|metrics|propulsion|systems)(\[\d+\])?/"
-    r"|inertia/pointmass-"
+    r"|inertia/pointmass-|attitude/sensor/"
 )
 _PART = r"[A-Za-z_#][\w.#-]*(\[(\d+|#)\])?"
 _PROPERTY = re.compile(rf"/?{_PART}(/{_PART})*", re.ASCII)

@@ -1,20 +1,77 @@
-"""Size, mass, lift and contact points of an aircraft, measured in JSBSim."""
+"""Traits, size, mass, lift and contact points of an aircraft, measured in JSBSim."""
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
 
 from testbed.core.frames import FOOT, GRAVITY
-from testbed.core.records import Airframe
+from testbed.core.records import Airframe, NedOrigin
 from testbed.core.standard_atmosphere import SEA_LEVEL_DENSITY
-from testbed.vehicle.jsbsim_model import CRUISE_LIFT, POUND, JsbsimModel
+from testbed.vehicle.jsbsim_model import POUND, JsbsimModel, Traits
 from testbed.vehicle.trim import STILL, Controls, Placement
 
+SLOWEST_PROBE = 20.0  # m/s, airspeed at which small aircraft are examined
+CRUISE_LIFT = 0.4  # lift coefficient, at which larger ones are
+_NO_EFFECT = 1e-6  # m/s², rad/s² and rad, above rounding
+_CONVERGES = 0.1  # of the change before: more is a lag
 _TILT = 1.0  # rad, of the attitudes in which contact points are found
 _INCIDENCE = 0.02  # rad, far from the stall
 _ALPHAS = np.radians(np.arange(0.0, 45.1, 0.1))  # searched for the stall
+
+
+def find_probe_speed(model: JsbsimModel) -> float:
+    """Return the airspeed at which an aircraft is examined, m/s: that of a lift coefficient of 0.4.
+
+    It is 20 m/s for small aircraft that are slower.
+    """
+    model.locate((0.0, 0.0, -1000.0), NedOrigin())
+    ahead = Placement((SLOWEST_PROBE, 0.0, 0.0), STILL, 0.0, 0.0, 0.0)
+    model.place(ahead, Controls(0.0, 0.0, 0.0, 0.0), spin=False)
+    weight = model.node("inertia/weight-lbs").get_double_value()
+    area = model.node("metrics/Sw-sqft").get_double_value()
+    density = model.node("atmosphere/rho-slugs_ft3").get_double_value()
+    if not (0.0 < weight < math.inf and 0.0 < area < math.inf):
+        return SLOWEST_PROBE  # refused by its sizes
+    return max(SLOWEST_PROBE, FOOT * math.sqrt(2.0 * weight / (density * area * CRUISE_LIFT)))
+
+
+def find_traits(model: JsbsimModel) -> Traits:
+    """Find traits by commands in flight; `model` must assume rudder and lag."""
+    model.probe_speed = find_probe_speed(model)
+    ahead = Placement((model.probe_speed, 0.0, 0.0), STILL, 0.0, 0.0, 0.0)
+    neutral = Controls(0.0, 0.0, 0.0, 0.0)
+    model.locate((0.0, 0.0, -1000.0), NedOrigin())
+    before = model.accelerations(ahead, neutral, spin=True)
+    yawed = model.accelerations(ahead, Controls(0.0, 0.0, 0.5, 0.0), spin=True)
+    model.accelerations(ahead, neutral, spin=True)
+    pulled = Controls(0.1, 0.1, 0.0, 0.0)
+    has_lag = _surfaces_lag(model, ahead, pulled)
+    model.accelerations(ahead, neutral, spin=True)
+    moved = model.accelerations_after_no_time(pulled)
+    return Traits(
+        probe_speed=model.probe_speed,
+        has_engine=model.has_engine,
+        lags_by_step=bool(np.max(np.abs(moved - before)) < _NO_EFFECT),
+        has_rudder=bool(np.max(np.abs(yawed - before)) > _NO_EFFECT),
+        has_lag=has_lag,
+    )
+
+
+def _surfaces_lag(model: JsbsimModel, placement: Placement, controls: Controls) -> bool:
+    """Return whether surfaces follow commands with a lag, by three placements without `spin`.
+
+    Forces that depend on the rate of the angle of attack change too, but by much less each time.
+    """
+    found, deflected = [], []
+    for _ in range(3):
+        found.append(model.accelerations(placement, controls, spin=False))
+        deflected.append(model.deflections())
+    first, second = (float(np.max(np.abs(b - a))) for a, b in itertools.pairwise(found))
+    moved = max(float(np.max(np.abs(b - a))) for a, b in itertools.pairwise(deflected))
+    return moved > _NO_EFFECT or second > max(_NO_EFFECT, _CONVERGES * first)
 
 
 def cruise_airspeed(measured: Airframe) -> float:

@@ -97,6 +97,8 @@ def kind_faults(name: str, parts: Mapping[Path, PowerParts]) -> list[AirframeFau
         for kind, place in each.kinds:
             if kind in _REFUSED:
                 found.setdefault(kind, AirframeFault(place, f"{name} {_REFUSED[kind]}"))
+    if "rocket_engine" in found:
+        found.pop("nozzle", None)  # its own
     return list(found.values())
 
 

@@ -137,6 +137,7 @@ def check_faults(
     geometry: ControlGeometry,
     row: int,
     *,
+    engine: bool,
     battery: bool,
     faults: Iterable[Any],
 ) -> None:
@@ -147,7 +148,8 @@ def check_faults(
         aircraft: its model, "rascal110".
         geometry: of all aircraft.
         row: of this aircraft.
-        battery: whether it has one.
+        engine: whether it has one.
+        battery: the same.
         faults: of the scenario; each has a `kind`, and some a `surface` and a `when`.
 
     Raises:
@@ -155,6 +157,10 @@ def check_faults(
     """
     fitted = [each for each, has in zip(SURFACES, geometry.fitted[row], strict=True) if has]
     for fault in faults:
+        if fault.kind in ("engine-out", "thrust-loss") and not engine:
+            raise InputError(
+                f"{name}: fault {fault.kind}: {aircraft} has no engine (leave the fault out)"
+            )
         if fault.kind == "battery-low" and not battery:
             raise InputError(
                 f"{name}: fault battery-low: {aircraft} has no battery; write engine-out or "

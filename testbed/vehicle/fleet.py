@@ -136,9 +136,7 @@ def place_model(
     model.power.set_cells(start.cells)
     model.power.charge(start.state_of_charge)
     watch(model)
-    if start.fuel_burn:
-        model.power.check_fuel()
-    level = start.airspeed * math.cos(trimmed.point.flight_path_angle)
+    level = start.airspeed * math.cos(trimmed.flight_path_angle)
     model.place(
         trimmed.placement,
         trimmed.controls,
@@ -146,6 +144,8 @@ def place_model(
         wind_ned=start.wind_ned,
         spin=True,
     )
+    if start.fuel_burn:
+        model.power.check_fuel()
     model.fly(burn=start.fuel_burn)
     leads = control_leads(integrators.control_lead, surfaces_lag=model.lags_by_step)
     return PlacedModel(model, trimmed, leads)
@@ -360,7 +360,8 @@ class FlightModels:
         """Check faults as `control_surfaces.check_faults` does, for one aircraft of this fleet."""
         kind = self._folders[row].name
         battery = not np.isnan(self._air_numbers[row, -1])
-        check_faults(name, kind, self.geometry, row, battery=battery, faults=faults)
+        engine = self.trims[row].has_engine
+        check_faults(name, kind, self.geometry, row, engine=engine, battery=battery, faults=faults)
 
     def lost(self, state: VehicleState) -> BoolArray:
         """Return which aircraft (N,) are on the ground or have stopped."""

@@ -22,12 +22,18 @@ import jsbsim
 from testbed.core.errors import InputError
 from testbed.core.input_files import open_regular
 from testbed.core.records import Airframe, NedOrigin
-from testbed.vehicle.airframe_measurement import cruise_airspeed, lift_slope, measured_airframe
+from testbed.vehicle.airframe_measurement import (
+    SLOWEST_PROBE,
+    cruise_airspeed,
+    find_traits,
+    lift_slope,
+    measured_airframe,
+)
 from testbed.vehicle.airframe_validation import MAX_BYTES, probe_in_copy
 from testbed.vehicle.control_surfaces import ControlGeometry, find_control_geometry
 from testbed.vehicle.environment import INTEGRATORS, Integrators
 from testbed.vehicle.inertia import impossible_inertia, unlikely_inertia
-from testbed.vehicle.jsbsim_model import SLOWEST_PROBE, JsbsimModel, Traits, find_traits
+from testbed.vehicle.jsbsim_model import JsbsimModel, Traits
 from testbed.vehicle.linearize import Linear, NaturalMode, find_modes, linearize
 from testbed.vehicle.powerplant import AircraftError
 from testbed.vehicle.trim import (

@@ -28,15 +28,13 @@ _DEFLECTED = ("left-aileron", *SURFACES[1:])  # ailerons deflect together
 _SETTLING_HZ = 200  # steps per second meanwhile, whatever the rate of the flight
 _MAX_SPIN_STEPS = 6000  # until engines, propellers and surfaces have settled
 _MAX_CRANK_STEPS = 2000  # until piston engines run
+_RESTLESS = 1e-3  # relative change in the last step
 _WARM_UP_STEPS = 400  # with the starter off
 INTEGRATOR_STEPS = 6  # one more than JSBSim's integrators use
 NO_TIME = 1e-12  # s
 POUND = 4.4482216152605  # N, of force
 _SLUG_FOOT2 = POUND * FOOT  # kg m²; a slug is a pound-force per foot/s²
 _RANKINE = 1.8  # degrees Rankine per kelvin
-_NO_EFFECT = 1e-6  # m/s² and rad/s², above rounding
-SLOWEST_PROBE = 20.0  # m/s, airspeed at which small aircraft are examined
-CRUISE_LIFT = 0.4  # lift coefficient, at which larger ones are
 _SHORT_STEP = 1e-5  # s, for the acceleration of the propeller
 
 
@@ -118,6 +116,7 @@ class JsbsimModel:
         ]
         self._angles = [self.node(f"ic/{name}-rad").get_double_value for name in ("phi", "theta")]
         self.placing: Placing | None = None
+        self._restless = False  # the engines did not settle
         self._terrain = 0.0  # ft
         self._watched: dict[str, Callable[[], float]] = {}
         self._recent: deque[dict[str, float]] = deque(maxlen=0)
@@ -235,16 +234,18 @@ class JsbsimModel:
             if not self.power.runs:  # an engine has stopped, as at a throttle that it cannot bear
                 self._start(placement, course)
                 self._spin(placement, course)
+        spools = self.power.spools()
         self._initialise(placement, course, wind_ned)
         # the initial condition leaves rounding errors in the wind
         for wind, value in zip(self.winds, wind_ned, strict=True):
             wind.set_double_value(value / FOOT)
-        if any(wind_ned):
+        if any(wind_ned) or spools:
             # The initial condition had no wind. Integrate over next to no time until accelerations
             # with the wind fill the memory of JSBSim's integrators; suspended runs do not.
             with self._step(NO_TIME):
                 for _ in range(INTEGRATOR_STEPS):
                     self.fdm.run()
+                    self.power.set_spools(spools)
 
     def _start(self, placement: Placement, course: float) -> None:
         """Start the engines: pistons with their starters, at rest, in steps of time.
@@ -284,7 +285,8 @@ class JsbsimModel:
 
     def _settle(self) -> None:
         # a first step never counts as rest
-        values = [math.nan] * len(self.power.settling_values())
+        values = before = [math.nan] * len(self.power.settling_values())
+        self._restless = False
         moments = [math.inf] * 3
         for _ in range(_MAX_SPIN_STEPS):
             self.fdm.run()
@@ -297,6 +299,7 @@ class JsbsimModel:
             moments_before, moments = moments, [get() for get in self._moments]
             if settled and np.allclose(moments, moments_before, rtol=1e-9, atol=1e-12):
                 return
+        self._restless = not at_rest(before, values, _RESTLESS)
 
     def fly(self, *, burn: bool = False) -> None:
         """Set the clock to zero after placing; engines then burn fuel, or not."""
@@ -304,11 +307,18 @@ class JsbsimModel:
         self.power.freeze_fuel(frozen=not burn)
 
     def check_engines(self) -> None:
-        """Check that the engines run.
+        """Check that the engines run, and turn their propellers at a speed that does not change.
 
         Raises:
             TrimError: one does not.
         """
+        if self._restless:
+            raise TrimError(
+                "the engines do not settle: their speed changes by more than 0.1 % in each step "
+                f"of 1/{_SETTLING_HZ} s (is the propeller's <ixx> right?)"
+            )
+        if self.power.stands_still:
+            raise TrimError("a propeller stands still: JSBSim cannot start its engine")
         if not self.power.runs:
             raise TrimError("an engine stops at the throttle of the trim (write another airspeed)")
 
@@ -383,42 +393,3 @@ class JsbsimModel:
         if self._watched:
             self.placing = Placing((roll, pitch, angles[2]), recent, self._look(), self._terrain)
             self._recent.clear()
-
-
-def find_probe_speed(model: JsbsimModel) -> float:
-    """Return the airspeed at which an aircraft is examined, m/s: that of a lift coefficient of 0.4.
-
-    It is 20 m/s for small aircraft that are slower.
-    """
-    model.locate((0.0, 0.0, -1000.0), NedOrigin())
-    ahead = Placement((SLOWEST_PROBE, 0.0, 0.0), STILL, 0.0, 0.0, 0.0)
-    model.place(ahead, Controls(0.0, 0.0, 0.0, 0.0), spin=False)
-    weight = model.node("inertia/weight-lbs").get_double_value()
-    area = model.node("metrics/Sw-sqft").get_double_value()
-    density = model.node("atmosphere/rho-slugs_ft3").get_double_value()
-    if not (0.0 < weight < math.inf and 0.0 < area < math.inf):
-        return SLOWEST_PROBE  # refused by its sizes
-    return max(SLOWEST_PROBE, FOOT * math.sqrt(2.0 * weight / (density * area * CRUISE_LIFT)))
-
-
-def find_traits(model: JsbsimModel) -> Traits:
-    """Find traits by commands in flight; `model` must assume rudder and lag."""
-    model.probe_speed = find_probe_speed(model)
-    ahead = Placement((model.probe_speed, 0.0, 0.0), STILL, 0.0, 0.0, 0.0)
-    neutral = Controls(0.0, 0.0, 0.0, 0.0)
-    model.locate((0.0, 0.0, -1000.0), NedOrigin())
-    before = model.accelerations(ahead, neutral, spin=True)
-    yawed = model.accelerations(ahead, Controls(0.0, 0.0, 0.5, 0.0), spin=True)
-    model.accelerations(ahead, neutral, spin=True)
-    pulled = Controls(0.1, 0.1, 0.0, 0.0)
-    # moments that depend on the rate of the angle of attack settle in the second evaluation
-    _, early, late = (model.accelerations(ahead, pulled, spin=False) for _ in range(3))
-    model.accelerations(ahead, neutral, spin=True)
-    moved = model.accelerations_after_no_time(pulled)
-    return Traits(
-        probe_speed=model.probe_speed,
-        has_engine=model.has_engine,
-        lags_by_step=bool(np.max(np.abs(moved - before)) < _NO_EFFECT),
-        has_rudder=bool(np.max(np.abs(yawed - before)) > _NO_EFFECT),
-        has_lag=bool(np.max(np.abs(late - early)) > _NO_EFFECT),
-    )

@@ -15,6 +15,7 @@ from testbed.core.errors import InputError
 _IGNITION = 3  # of both magnetos
 _ALL_ENGINES = -1
 _RESTS = 1e-9  # relative change in a step
+_TURNS = 1.0  # rpm
 _FREE, _FROZEN = 0.0, 1.0
 
 
@@ -66,6 +67,8 @@ class Powerplant:
         self._settling += [node.get_double_value for node in self._nodes(pistons, "map-inhg")]
         jets = [k for k in gas_turbines if not find(f"propulsion/engine[{k}]/propeller-rpm")]
         self._settling += [node.get_double_value for node in self._nodes(jets, "thrust-lbs")]
+        turboprops = [k for k in gas_turbines if k not in jets]
+        self._spools = self._nodes(turboprops, "n1")
         self._freeze = find("propulsion/fuel_freeze")
         self.freeze_fuel(frozen=True)
         for k in each:
@@ -96,6 +99,11 @@ class Powerplant:
         return self.pistons_run and all(get() for get in self._turbines)
 
     @property
+    def stands_still(self) -> bool:
+        """Return whether a propeller of an engine that burns fuel does not turn."""
+        return self.burns_fuel and any(get() < _TURNS for get in self._speeds)
+
+    @property
     def pistons_run(self) -> bool:
         """Return whether all piston engines run."""
         return all(get() for get in self._pistons)
@@ -108,6 +116,15 @@ class Powerplant:
     def set_running(self) -> None:
         """Let all engines run at the speed of their throttle, as JSBSim finds it."""
         self._find("propulsion/set-running").set_double_value(_ALL_ENGINES)
+
+    def spools(self) -> list[float]:
+        """Return the speeds of the gas generators of turboprops, which JSBSim lets idle again."""
+        return [node.get_double_value() for node in self._spools]
+
+    def set_spools(self, speeds: Sequence[float]) -> None:
+        """Set these speeds; JSBSim overwrites them in the first step after an initial condition."""
+        for node, speed in zip(self._spools, speeds, strict=True):
+            node.set_double_value(speed)
 
     def remove_torque(self, *, removed: bool) -> None:
         """Let propellers turn without torque on the airframe, or with it again."""
@@ -180,10 +197,10 @@ class Powerplant:
         initial.set_double_value(initial.get_double_value() + min(more, 0.0))
 
 
-def at_rest(before: Sequence[float], after: Sequence[float]) -> bool:
-    """Return whether values have not changed in a step, but for rounding."""
+def at_rest(before: Sequence[float], after: Sequence[float], share: float = _RESTS) -> bool:
+    """Return whether values have changed in a step by less than a share, by default rounding."""
     return all(
-        abs(new - old) < _RESTS * abs(new) or new == old
+        abs(new - old) < share * abs(new) or new == old
         for old, new in zip(before, after, strict=True)
     )
 

@@ -83,7 +83,7 @@ class Controls:
 class TrimResult:
     """Steady flight, and the controls that hold it."""
 
-    point: TrimPoint  # of a glider with the flight-path angle that was found
+    point: TrimPoint
     alpha: float  # rad
     beta: float  # rad
     turn_rate: float  # rad/s about the vertical, to the right positive
@@ -93,6 +93,7 @@ class TrimResult:
     has_rudder: bool  # if not, the rudder command is zero and has no effect
     residual: float  # largest remaining acceleration, m/s² and rad/s²
     has_engine: bool = True  # if not, the throttle is zero and has no effect
+    flight_path_angle: float = 0.0  # rad; that of the point, or as found for a glider
 
 
 class TrimModel(Protocol):
@@ -220,6 +221,7 @@ def trim(model: TrimModel, point: TrimPoint) -> TrimResult:
         if best <= _STEADY:
             break
     if best > _STEADY:
+        model.check_engines()
         sixth = (
             f"throttle {best_x[5]:.2f}"
             if model.has_engine
@@ -233,7 +235,7 @@ def trim(model: TrimModel, point: TrimPoint) -> TrimResult:
     model.check_engines()
     placement, controls, turn_rate = _flight(model, point, best_x)
     return TrimResult(
-        point=_flown_point(model, point, best_x),
+        point=point,
         alpha=float(best_x[0]),
         beta=float(best_x[1]),
         turn_rate=turn_rate,
@@ -243,6 +245,7 @@ def trim(model: TrimModel, point: TrimPoint) -> TrimResult:
         has_rudder=model.has_rudder,
         residual=residual,
         has_engine=model.has_engine,
+        flight_path_angle=_flown_point(model, point, best_x).flight_path_angle,
     )
 
 

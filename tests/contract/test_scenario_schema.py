@@ -107,6 +107,7 @@ OTHER_KINDS = [
     "formation.agents.uav2={speed_model: {f: 'drag_and_propeller:f', g: 'drag_and_propeller:g'}}",
     f"leader={{name: lead, aircraft: rascal110, autopilot: {ARDUPLANE}, path: {MISSION}}}",
     f"leader={{name: lead, aircraft: rascal110, commanded_by: {EXTERNAL}, path: {MISSION}}}",
+    f"leader={{name: lead, aircraft: rascal110, fuel_burn: true, path: {MISSION}}}",
     f"leader={{name: lead, aircraft: rascal110, autopilot: {SITL}, path: {MISSION}}}",
     f"fleet.1={{name: uav2, aircraft: rascal110, autopilot: {ARDUPLANE}, start_m: [-40, -10, 0]}}",
 ]
@@ -197,8 +198,9 @@ def test_other_kinds_are_read_in_full(other):
 
 
 def test_full_fixture_can_be_built():
-    # a Rascal has no battery
+    # a Rascal has no battery and burns no fuel
     fuel = ["leader.battery=null", "fleet.uav1.battery=null"]
+    fuel += ["fleet.uav1.fuel_burn=false"]
     fuel += ["fleet.uav1.faults.5={kind: engine-out, at_s: 16}"]
     world = build(load_scenario(FOLDER / "everything.yaml", fuel))
     assert world.names == ("lead", "uav1", "uav2")

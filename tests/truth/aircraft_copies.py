@@ -2,6 +2,21 @@
 
 import re
 import shutil
+from pathlib import Path
+
+from jsbsim import get_default_root_dir as jsbsim_root
+
+
+def of_jsbsim(name, tmp_path):
+    """Copy an aircraft of the installed JSBSim, with all engines and systems."""
+    data, folder = Path(jsbsim_root()), tmp_path / name
+    for source, target in (
+        ("engine", "Engines"),
+        ("systems", "Systems"),
+        (f"aircraft/{name}", "."),
+    ):
+        shutil.copytree(data / source, folder / target, dirs_exist_ok=True)
+    return folder
 
 
 def changed(folder, tmp_path, *changes, file=None):

@@ -186,7 +186,10 @@ class Comparison:
         """Set a property in both, if there is one."""
         node = self.model.find(name)
         if node is not None and name in self._aircraft.columns:
-            node.set_double_value(value)
+            if name == CONTROLS.columns[3]:
+                self.model.power.set_throttle(value)
+            else:
+                node.set_double_value(value)
             self.row[self._aircraft.columns[name]] = value
 
     def run(self, steps: int) -> None:
