@@ -57,7 +57,9 @@ def try_aircraft(file: Path, into: Path) -> dict[str, Any]:
             return found | json.loads(document.read_text(encoding="utf-8"))
         text = errors.read_text(encoding="utf-8")
     reason = text.partition("error: ")[2] or text.strip().rpartition("\n")[2]
-    return found | {"reason": reason.strip().replace(f"{file.resolve().parent}/", "")}
+    for folder in {file.parent, file.resolve().parent}:
+        reason = reason.replace(f"{folder}/", "")
+    return found | {"reason": reason.strip()}
 
 
 def _run_command(arguments: tuple[str, ...], errors: Path) -> None:

@@ -342,12 +342,10 @@ class _Search:
 
     def _candidates(self, element: str, path: str) -> Iterator[tuple[Path, Path, Path]]:
         """Yield the root, a candidate in it, and its place in the new folder."""
+        yield self._own, self._own / path, Path(path)
         kind = _FOLDERS.get(element)
         if kind is None:
-            yield self._own, self._own / path, Path(path)
             return
-        # a path with a folder stays where it is, as JSBSim reads it from the aircraft's folder
-        yield self._own, self._own / path, Path(path) if "/" in path else Path(kind, path)
         for spelling in _SPELLINGS[kind]:
             yield self._own, self._own / spelling / path, Path(kind, path)
         for tree in self._trees:
