@@ -15,8 +15,7 @@ def markdown() -> str:
     """Return a section for each command, in the order of `testbed --help`."""
     group: Any = typer.main.get_command(app)
     parts = [f"{EXIT_CODES_HELP}\n"]
-    for name in group.commands:
-        command = group.full_command(name)
+    for name, command in group.full_commands():
         parts += [f"## testbed {name}\n", f"```text\n{usage(name, command)}\n```\n"]
         parts += [f"{plain(command.help)}\n", table(command)]
     return "\n".join(parts)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import inspect
 import math
 import os
+import re
 import sys
 import traceback
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
@@ -52,6 +53,7 @@ PANELS: Final[Mapping[str, Mapping[str, str]]] = {
     },
     "Study": {"sweep": "sweep", "study-report": "study_report", "tune": "tune"},
     "Aircraft": {
+        "new": "new",
         "trim": "inspect",
         "linearize": "inspect",
         "step": "inspect",
@@ -62,8 +64,13 @@ PANELS: Final[Mapping[str, Mapping[str, str]]] = {
     },
     "CI": {"check": "check"},
 }
+# Commands that are groups of others: "new" of "new aircraft", of the same module.
+_GROUPS: Final[Mapping[str, tuple[str, ...]]] = {"new": ("new aircraft",)}
 _MODULES: Final = {
-    name: f"testbed.cli.{module}" for panel in PANELS.values() for name, module in panel.items()
+    name: f"testbed.cli.{module}"
+    for panel in PANELS.values()
+    for command, module in panel.items()
+    for name in (command, *_GROUPS.get(command, ()))
 }
 # Names of a command's parameters, by command and panel of its help.
 _OPTION_PANELS: Final[Mapping[str, Mapping[str, tuple[str, ...]]]] = {
@@ -79,7 +86,7 @@ _WITH_EXIT_CODES: Final = (
 
 
 def _function_name(command: str) -> str:
-    return f"{command.replace('-', '_')}_command"
+    return f"{re.sub('[- ]', '_', command)}_command"
 
 
 @cache
@@ -170,6 +177,10 @@ class _Command(_Help, TyperCommand):
         return super().parse_args(ctx, written)
 
 
+class _Subcommands(_Help, TyperGroup):
+    """The commands of a group."""
+
+
 class CommandGroup(_Help, TyperGroup):
     """All commands by name; `testbed --help` lists them without importing their modules."""
 
@@ -190,8 +201,26 @@ class CommandGroup(_Help, TyperGroup):
         assert name is not None
         return name, self.full_command(name), rest
 
+    def full_commands(self) -> Iterator[tuple[str, Any]]:
+        """Yield all commands with their whole names, those of a group in place of it."""
+        for name in self.commands:
+            for each in _GROUPS.get(name, (name,)):
+                yield each, self.full_command(each)
+
     def full_command(self, name: str) -> Any:  # noqa: ANN401 - typer's own copy of click
-        """Import a command and build its options."""
+        """Import a command and build its options, or a group and its commands."""
+        if name in _GROUPS:
+            group = _Subcommands(
+                name=name,
+                help=help_text(name),
+                no_args_is_help=True,
+                rich_markup_mode=MARKUP,
+            )
+            for each in _GROUPS[name]:
+                member = self.full_command(each)
+                member.name = each.removeprefix(f"{name} ")
+                group.add_command(member)
+            return group
         app = typer.Typer(add_completion=False, rich_markup_mode=MARKUP)
         module = import_module(_MODULES[name])
         function = getattr(module, _function_name(name))

@@ -146,6 +146,7 @@ class JsbsimLogCapture:
 
 
 VERSION: str = jsbsim.__version__
+SHARED_FILES = Path(jsbsim.get_default_root_dir())  # with the folders engine and systems
 _TRIM_RATE_HZ = 200
 # By folder and digest of its files.
 _TRAITS: dict[tuple[Path, str], Traits] = {}

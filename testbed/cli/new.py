@@ -1,0 +1,243 @@
+"""The commands that make files of a user's own: new aircraft."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.text import Text
+
+from testbed.cli.options import JsonFile, positive_option
+from testbed.cli.output import (
+    MISSING,
+    message_console,
+    result_console,
+    ruled_table,
+    write_json_output,
+)
+from testbed.core.files import new_folder, report_write_errors
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from testbed.trials.new_aircraft import DerivedAircraft
+    from testbed.vehicle.airframe_import import CopiedAircraft
+    from testbed.vehicle.trim import TrimResult
+
+PICTURE = "envelope.png"
+
+
+def new_command() -> None:
+    """Make files of your own: an aircraft from its JSBSim file."""
+
+
+def new_aircraft_command(
+    file: Annotated[
+        Path,
+        typer.Argument(metavar="FILE.xml", help="The JSBSim file of the aircraft."),
+    ],
+    speed: Annotated[
+        float | None,
+        positive_option(
+            "M/S",
+            "True airspeed of cruise, for which all gains are derived.  "
+            "\\[default: that of a lift coefficient of 0.4, or near it]",
+        ),
+    ] = None,
+    into: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="Folder to make; its name is the aircraft's.  \\[default: the file's name, here]",
+        ),
+    ] = None,
+    json: JsonFile = None,
+) -> None:
+    """Make an aircraft that flies from its JSBSim file: copy, trim, derive gains, fly it.
+
+    All files that the aircraft names are copied, from its own folder and from the engines and
+    systems that come with JSBSim. Elements that open sockets or write files are cut out, properties
+    that no file sets are declared, and each is said.
+
+    The aircraft is trimmed over its speed range. Gains of autopilot, middle loop and guidance, and
+    the speed model of the formation law, follow by rule from its responses to steps. It then flies
+    a minute of fly-by-wire A with banks of 30°; gains with which it rings are softened.
+
+    An aircraft that cannot be flown is refused with the reason, and nothing is written.
+    """
+    from testbed.core.errors import InputError
+    from testbed.trials.aircraft_files import write_aircraft_files
+    from testbed.trials.new_aircraft import derive
+    from testbed.vehicle.airframe_import import (
+        check_folder_name,
+        copy_aircraft,
+        declare_missing,
+    )
+    from testbed.vehicle.jsbsim_adapter import SHARED_FILES, airframe
+
+    target = Path(file.stem) if into is None else into
+    check_folder_name(target.name)
+    messages = message_console()
+
+    def report(text: str) -> None:
+        messages.write_line(f" {text} …", "dim")
+
+    with report_write_errors(f"--into {target}" if into else target), new_folder(target) as folder:
+        report("copy")
+        copied = copy_aircraft(file, folder, SHARED_FILES)
+        try:
+            declare_missing(copied, lambda: airframe(folder))
+            found = derive(folder, speed, report)
+        except InputError as error:
+            error.args = (copied.in_originals(str(error)), *error.args[1:])
+            raise
+        write_aircraft_files(copied, found)
+        _draw(folder / PICTURE, found)
+    write_json_output(json, _document(target, copied, found))
+    console = result_console(json)
+    console.write_line(Text.assemble(" ", (target.name, "bold"), f" · from {file}"))
+    console.write_line()
+    for line in _changes(copied):
+        console.write_line(f" {line}")
+    for table in (_level_table(found), _flight_table(found)):
+        console.print_table(table)
+        console.write_line()
+    for line in _ending(target, found):
+        console.write_line(f" {line}")
+
+
+def _draw(path: Path, found: DerivedAircraft) -> None:
+    import numpy as np
+
+    from testbed.views.envelope_figure import EnvelopeFigureData, envelope_figure
+    from testbed.views.matplotlib_backend import save_figure
+
+    trims, level = found.envelope.trims, found.level
+    params, steps = found.check.params, found.steps
+    eas2tas = steps.airspeed / steps.equivalent_airspeed
+    speeds = np.array([each.point.airspeed for each in trims])
+    data = EnvelopeFigureData(
+        title=f"Level flight of {path.parent.name}",
+        subtitle=f"{level.lowest:.1f} to {level.highest:.1f} m/s; line: cruise, {level.airspeed:g} "
+        "m/s; shaded: speeds of the autopilot",
+        airspeed=speeds,
+        throttle=np.array([each.controls.throttle for each in trims]),
+        sink=np.array([_sink(each) for each in trims]) if found.envelope.glides else None,
+        alpha_deg=np.degrees([each.alpha for each in trims]),
+        elevator=np.array([each.controls.elevator for each in trims]),
+        cruise=level.airspeed,
+        autopilot=(params.airspeed_min * eas2tas, params.airspeed_max * eas2tas),
+    )
+    save_figure(envelope_figure(data), path)
+
+
+def _sink(trim: TrimResult) -> float:
+    """Return the rate of descent of a trim, m/s."""
+    return -trim.point.airspeed * math.sin(trim.point.flight_path_angle)
+
+
+def _changes(copied: CopiedAircraft) -> list[str]:
+    """Return a line for each change of the files."""
+    lines = [f"cut out: {each.place}: {each.element}" for each in copied.cuts]
+    if copied.declared:
+        lines.append(
+            "declared with the value 0, because no file sets them: " + ", ".join(copied.declared)
+        )
+    return [*lines, ""] if lines else []
+
+
+def _level_table(found: DerivedAircraft) -> Table:
+    table = ruled_table()
+    glides = found.envelope.glides
+    kind = "glide" if glides else "level flight"
+    table.add_column(Text(f"\n{kind}", style="bold"), no_wrap=True)
+    power = "sink\nm/s" if glides else "throttle\n"
+    for name in ("airspeed\nm/s", power, "alpha\n°", "elevator\n"):
+        table.add_column(name, justify="right", no_wrap=True)
+    trims = found.envelope.trims
+    rows = {"slowest": trims[0], "cruise": found.envelope.cruise, "fastest": trims[-1]}
+    for name, each in rows.items():
+        table.add_row(
+            name,
+            f"{each.point.airspeed:.1f}",
+            f"{_sink(each):.2f}" if glides else f"{each.controls.throttle:.3f}",
+            f"{math.degrees(each.alpha):.1f}",
+            f"{each.controls.elevator:+.3f}",
+        )
+    return table
+
+
+def _flight_table(found: DerivedAircraft) -> Table:
+    table = ruled_table()
+    table.add_column(Text("60 s of\nfly-by-wire A", style="bold"), no_wrap=True)
+    for name in ("to 63 %\ns", "overshoot\n%", "ripple\n°", "gains\nsoftened"):
+        table.add_column(name, justify="right", no_wrap=True)
+    for each in found.flights:
+        for axis, response in (("bank", each.roll), ("pitch", each.pitch)):
+            table.add_row(
+                axis,
+                MISSING if math.isnan(response.rise_s) else f"{response.rise_s:.2f}",
+                f"{100.0 * response.overshoot:.1f}",
+                f"{response.ripple_deg:.2f}",
+                f"{each.softenings}",
+                end_section=axis == "pitch",
+            )
+    return table
+
+
+def _ending(folder: Path, found: DerivedAircraft) -> list[str]:
+    from testbed.trials.aircraft_files import equivalent_pole
+
+    lines = []
+    if found.speed is not None:
+        model = found.speed.model
+        lines += [
+            f"speed model: pole {model.pole:.2f} 1/s, delay {model.delay:.2f} s; in a scenario "
+            f"formation.speed_pole_per_s: {equivalent_pole(found):.2f}",
+            "",
+        ]
+    speed = f"{found.level.airspeed:g}"
+    path = folder if folder.parts[:-1] else f"./{folder}"
+    return [
+        *lines,
+        f"written: {folder}: XML, Engines, Systems, autopilot.param, middle_loop.yaml, "
+        f"guidance.yaml, {PICTURE}, SOURCE.md",
+        f"next: testbed trim {path} --airspeed {speed}",
+        f"      testbed linearize {path} --airspeed {speed}",
+        f"      aircraft: {path} in a scenario",
+    ]
+
+
+def _document(folder: Path, copied: CopiedAircraft, found: DerivedAircraft) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    from testbed.trials.aircraft_files import check_document, equivalent_pole
+
+    return {
+        "aircraft": folder.name,
+        "folder": str(folder),
+        "copied": {
+            str(copy.relative_to(copied.main.parent)): str(source)
+            for copy, source in copied.sources.items()
+        },
+        "cut": [{"place": str(each.place), "element": each.element} for each in copied.cuts],
+        "declared": copied.declared,
+        "level_flight": asdict(found.level),
+        "trims": [
+            {
+                "airspeed_mps": each.point.airspeed,
+                "throttle": each.controls.throttle,
+                "climb_mps": -_sink(each),
+                "alpha_deg": math.degrees(each.alpha),
+                "elevator": each.controls.elevator,
+            }
+            for each in found.envelope.trims
+        ],
+        "steps": asdict(found.steps),
+        "flights": [check_document(each) for each in found.flights],
+        "middle_loop": found.middle_loop,
+        "guidance": found.guidance,
+        "speed_pole_per_s": None if found.speed is None else equivalent_pole(found),
+    }

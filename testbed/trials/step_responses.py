@@ -1,0 +1,167 @@
+"""Responses of one aircraft to steps of its controls, from steady flight.
+
+Copies of the aircraft fly abreast, without an autopilot: one holds the controls of the trim, and
+each of the others moves one control at the start. What the first one does is subtracted, so that a
+slow drift from the trim is no part of a response.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from testbed.core.errors import InputError
+from testbed.core.records import ActuatorCommand, Array, NedOrigin
+from testbed.vehicle.fleet import JsbsimFleet
+from testbed.vehicle.trim import InitialState, TrimPoint
+
+RATE_HZ = 200
+ABOVE_GROUND = 1000.0  # m: no response comes near the ground
+AILERON, ELEVATOR, THROTTLE = 0.1, 0.05, 0.1  # steps, of the whole travel to one side
+ROLL_S, PITCH_S, THROTTLE_S = 1.5, 2.0, 6.0  # of the responses
+RUDDER_MIXES = (0.0, 0.25, 0.5, 0.75, 1.0)  # rudder per aileron
+_PITCH_MEAN_S = 0.5, 1.5  # between which the pitch rate is averaged
+_SLOPE_S = 0.05  # over which an acceleration is taken
+_LEAST_RATE = 0.02  # rad/s per full control: less is no control
+
+
+class ResponseError(InputError):
+    """An aircraft whose controls have no effect that an autopilot can use."""
+
+
+@dataclass(frozen=True, slots=True)
+class StepResponses:
+    """What the controls of an aircraft do; rates and accelerations are per full control."""
+
+    airspeed: float  # m/s, true
+    equivalent_airspeed: float  # m/s
+    roll_rate: float  # rad/s, the largest within ROLL_S
+    roll_s: float  # to 63 % of it
+    rudder_mix: float  # of RUDDER_MIXES, that with the least sideslip
+    sideslip: float  # rad, the largest after the aileron step with this mix, per full aileron
+    pitch_rate: float  # rad/s, mean of 0.5 to 1.5 s
+    pitch_s: float  # to 63 % of it
+    pitch_acceleration: float  # rad/s², the largest
+    throttle_acceleration: float  # m/s², settled; 0 without an engine
+    throttle_s: float  # to 63 % of it; 0 without an engine
+
+
+class _Flown(NamedTuple):
+    """Samples of M aircraft: 0 is the first tick after the step."""
+
+    time: Array  # (k,) s
+    rates: Array  # (k, M, 3) rad/s
+    airspeed: Array  # (k, M) m/s
+    beta: Array  # (k, M) rad
+
+
+def start_of(point: TrimPoint) -> tuple[InitialState, NedOrigin]:
+    """Return a start in a level trim, far above the ground, and the origin."""
+    start = InitialState(
+        (0.0, 0.0, -ABOVE_GROUND),
+        airspeed=point.airspeed,
+        bank=point.bank,
+    )
+    return start, NedOrigin(elevation_m=point.altitude - ABOVE_GROUND)
+
+
+def measure_steps(folder: Path, point: TrimPoint) -> StepResponses:
+    """Measure the responses of the aircraft in a folder, from a trim.
+
+    Raises:
+        AircraftError, TrimError: the aircraft cannot be loaded or trimmed.
+        ResponseError: ailerons or elevator have no effect, or the wrong one.
+    """
+    start, origin = start_of(point)
+    fleet = JsbsimFleet([folder] * (3 + len(RUDDER_MIXES)), [start] * (3 + len(RUDDER_MIXES)),
+                        origin, RATE_HZ)  # fmt: skip
+    first = fleet.read()
+    has_engine = fleet.trims[0].has_engine
+    held = fleet.trimmed
+    surfaces = ActuatorCommand(*(each.copy() for each in held))
+    mixed = slice(3, None)
+    up = ELEVATOR if held.elevator[1] < 0.5 else -ELEVATOR
+    more = THROTTLE if held.throttle[2] + THROTTLE <= 1.0 else -THROTTLE
+    surfaces.elevator[1] += up
+    surfaces.throttle[2] += more
+    surfaces.aileron[mixed] += AILERON
+    surfaces.rudder[mixed] += AILERON * np.array(RUDDER_MIXES)
+    flown = _fly(fleet, surfaces, THROTTLE_S)
+    rates = flown.rates - flown.rates[:, :1]
+
+    p = rates[flown.time <= ROLL_S, 3:, 0] / AILERON
+    beta = np.abs(flown.beta[:, 3:] - flown.beta[:, :1])[flown.time <= ROLL_S].max(axis=0) / AILERON
+    best = int(beta.argmin())
+    roll_rate = float(p[:, best].max())
+    q = rates[flown.time <= PITCH_S, 1, 1] / up
+    low, high = _PITCH_MEAN_S
+    settled = (flown.time >= low) & (flown.time <= high)
+    pitch_rate = float((rates[settled, 1, 1] / up).mean())
+    for name, rate, way in (
+        ("aileron", roll_rate, "rolls the aircraft to the right"),
+        ("elevator", pitch_rate, "pitches the aircraft up"),
+    ):
+        _check_rate(name, rate, way)
+    within = round(_SLOPE_S * RATE_HZ)
+    slope = (q[within:] - q[:-within]) / _SLOPE_S
+    acceleration, throttle_s = _throttle_response(flown, more) if has_engine else (0.0, 0.0)
+    return StepResponses(
+        airspeed=point.airspeed,
+        equivalent_airspeed=float(first.equivalent_airspeed[0]),
+        roll_rate=roll_rate,
+        roll_s=_time_to_63(p[:, best], roll_rate),
+        rudder_mix=RUDDER_MIXES[best],
+        sideslip=float(beta[best]),
+        pitch_rate=pitch_rate,
+        pitch_s=_time_to_63(q, pitch_rate),
+        pitch_acceleration=float(slope[: round(0.5 * RATE_HZ)].max()),
+        throttle_acceleration=acceleration,
+        throttle_s=throttle_s,
+    )
+
+
+def _fly(fleet: JsbsimFleet, surfaces: ActuatorCommand, duration_s: float) -> _Flown:
+    rows: list[tuple[Array, Array, Array]] = []
+    commanded: ActuatorCommand | None = surfaces
+    for _ in range(round(duration_s * RATE_HZ)):
+        fleet.step(commanded, 1)
+        commanded = None
+        state, air = fleet.read(), fleet.air()
+        rows.append((state.rates_body, state.airspeed, air.beta))
+    rates, airspeed, beta = (np.array(each) for each in zip(*rows, strict=True))
+    time = np.arange(1, len(rates) + 1) / RATE_HZ
+    return _Flown(time, rates, airspeed, beta)
+
+
+def _throttle_response(flown: _Flown, step: float) -> tuple[float, float]:
+    """Return the settled acceleration for full throttle, m/s², and its time to 63 %, s."""
+    speed = (flown.airspeed[:, 2] - flown.airspeed[:, 0]) / step
+    within = round(0.25 * RATE_HZ)
+    acceleration = (speed[within:] - speed[:-within]) * (RATE_HZ / within)
+    # drag takes the acceleration away again: its largest value is the engine's
+    largest = int(acceleration.argmax())
+    value = float(acceleration[largest])
+    return value, _time_to_63(acceleration, value) + 0.5 * within / RATE_HZ
+
+
+def _check_rate(control: str, rate: float, way: str) -> None:
+    if not math.isfinite(rate) or abs(rate) < _LEAST_RATE:
+        raise ResponseError(
+            f"the {control} has no effect: fcs/{control}-cmd-norm of 1 gives "
+            f"{math.degrees(rate):.2g}°/s; the autopilot flies with ailerons and elevator"
+        )
+    if rate < 0.0:
+        raise ResponseError(
+            f"the {control} acts the wrong way: a command that {way} gives "
+            f"{math.degrees(rate):.3g}°/s (change the sign in the flight control)"
+        )
+
+
+def _time_to_63(response: Array, final: float) -> float:
+    """Return when a response first has 63 % of its final value, s."""
+    reached = np.flatnonzero(response >= (1.0 - math.exp(-1.0)) * final)
+    return float(reached[0] + 1 if reached.size else len(response)) / RATE_HZ

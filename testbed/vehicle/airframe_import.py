@@ -1,0 +1,359 @@
+"""Copy a JSBSim aircraft with all files that it names into a folder of its own.
+
+JSBSim keeps engines and systems that several aircraft share beside the folder `aircraft`; an
+aircraft of the testbed has all its files in its own folder. Elements that the testbed never
+reads are cut out: `<output>` and `<input>` of the whole aircraft, and `<!DOCTYPE>`. All other bytes
+are kept, and a cut leaves its line breaks, so that lines have the numbers of the original.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+from xml.parsers import expat
+from xml.sax.saxutils import escape
+
+from testbed.core.input_files import read_bounded
+from testbed.vehicle.airframe_grammar import GRAMMAR, MAIN
+from testbed.vehicle.airframe_power import FileLine
+from testbed.vehicle.airframe_validation import MAX_BYTES, MAX_FILES
+from testbed.vehicle.powerplant import AircraftError
+
+MAX_DECLARED = 40  # properties that other programs give an aircraft
+_CUT = ("output", "input")
+_DOCTYPE = b"<!DOCTYPE"
+_DECLARED = "declared"  # name of the <system> with properties that are missing
+_PLAIN_NAME = re.compile(r"(?!\.)[\w .,()+-]+(/(?!\.)[\w .,()+-]+)*", re.ASCII)
+_FOLDER_NAME = re.compile(r"[A-Za-z0-9][\w.+-]*", re.ASCII)
+_MISSING = re.compile(r"The property (\S+) does not exist")
+# Where files of an element are looked for beside the aircraft's own folder, and where they go.
+_FOLDERS = {
+    **dict.fromkeys(("propulsion", "engine", "thruster"), "Engines"),
+    **dict.fromkeys(("system", "autopilot", "flight_control"), "Systems"),
+}
+_SPELLINGS = {
+    "Engines": ("Engines", "engines", "Engine", "engine"),
+    "Systems": ("Systems", "systems"),
+}
+_SHARED = {"Engines": "engine", "Systems": "systems"}  # beside the folder `aircraft`
+
+
+class Cut(NamedTuple):
+    """An element that was cut out.
+
+    Attributes:
+        place: where it began.
+        element: as it is written, "<output>".
+    """
+
+    place: FileLine
+    element: str
+
+
+@dataclass(slots=True)
+class CopiedAircraft:
+    """An aircraft in its own folder.
+
+    Attributes:
+        main: the copied `NAME.xml`.
+        sources: original of each copied file, by the copy.
+        cuts: what is not in the copies, in the order of the files.
+        declared: properties that were added, because no file has them.
+    """
+
+    main: Path
+    sources: dict[Path, Path] = field(default_factory=dict)
+    cuts: list[Cut] = field(default_factory=list)
+    declared: list[str] = field(default_factory=list)
+
+    def in_originals(self, text: str) -> str:
+        """Return an error with the original files in place of their copies."""
+        # a longer path first: one may begin another
+        for copy in sorted(self.sources, key=lambda each: -len(str(each))):
+            text = text.replace(str(copy), str(self.sources[copy]))
+        return text
+
+
+def check_folder_name(name: str) -> None:
+    """Check the name of a new folder of an aircraft.
+
+    Raises:
+        AircraftError: it is no plain name.
+    """
+    if not _FOLDER_NAME.fullmatch(name):
+        raise AircraftError(
+            f"the name {name[:40]!r}: an aircraft has letters, digits and _ . + - in its name, and "
+            "begins with a letter or digit (write --into and another name)"
+        )
+
+
+def copy_aircraft(source: Path, folder: Path, shared: Path) -> CopiedAircraft:
+    """Copy an aircraft and every file that it names.
+
+    Files are looked for in the folder of the aircraft, its `Engines` and `Systems`, then in
+    `engine` and `systems` of the tree that it lies in (aircraft/NAME/NAME.xml), then in those that
+    come with JSBSim.
+
+    Args:
+        source: the JSBSim file of the aircraft.
+        folder: for the copy, not there yet; its last part is the aircraft's name.
+        shared: folder of JSBSim's own `engine` and `systems`.
+
+    Raises:
+        AircraftError: a file is missing, is not XML or leaves its folder; all of these at once.
+        OSError: the copy cannot be written.
+    """
+    check_folder_name(folder.name)
+    source = Path(source)
+    copied = CopiedAircraft(folder / f"{folder.name}.xml")
+    search = _Search(source.resolve().parent, shared)
+    problems: list[str] = []
+    waiting = [(source, copied.main)]
+    contents: dict[Path, bytes] = {}
+    while waiting:
+        original, copy = waiting.pop(0)
+        if copy in contents:
+            continue
+        try:
+            scan = _Scan(original, is_main=copy == copied.main)
+        except AircraftError as error:
+            problems.append(str(error))
+            contents[copy] = b""
+            continue
+        problems += scan.problems
+        contents[copy] = scan.remaining()
+        copied.sources[copy] = original
+        copied.cuts += scan.cuts
+        for use in scan.uses:
+            try:
+                found, where = search.find(use)
+            except AircraftError as error:
+                problems.append(str(error))
+                continue
+            waiting.append((found, folder / where))
+        if len(contents) > MAX_FILES:
+            problems.append(f"{source}: names more than {MAX_FILES} files")
+            break
+    if problems:
+        raise AircraftError("\n".join(dict.fromkeys(problems)))
+    for copy, content in contents.items():
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        copy.write_bytes(content)
+    return copied
+
+
+def declare_missing(copied: CopiedAircraft, load: Callable[[], Any]) -> None:
+    """Declare properties that no file has, with the value 0, until the aircraft can be loaded.
+
+    Aircraft of FlightGear read properties that its other parts set.
+
+    Args:
+        copied: the aircraft; `declared` is extended.
+        load: loads it, and moves it.
+
+    Raises:
+        AircraftError: of `load`, if it is about something else, or after `MAX_DECLARED` names.
+    """
+    while True:
+        try:
+            load()
+        except AircraftError as error:
+            missing = _MISSING.search(str(error))
+            if missing is None or missing[1] in copied.declared:
+                raise
+            if len(copied.declared) == MAX_DECLARED:
+                raise AircraftError(
+                    f"{copied.main}: reads more than {MAX_DECLARED} properties that no file has "
+                    f"({', '.join(copied.declared[:3])}, …): a part of the aircraft is missing"
+                ) from None
+            declare(copied, missing[1])
+        else:
+            return
+
+
+def declare(copied: CopiedAircraft, name: str) -> None:
+    """Add a property with the value 0 to the aircraft, in the line of its first section."""
+    before = _declaration(copied.declared)
+    copied.declared.append(name)
+    data = copied.main.read_bytes()
+    at = data.index(before) if before else _first_section(copied.main, data)
+    after = data[at + len(before) :]
+    copied.main.write_bytes(data[:at] + _declaration(copied.declared) + after)
+
+
+def _declaration(names: list[str]) -> bytes:
+    """Return the element that declares properties; empty without names."""
+    if not names:
+        return b""
+    properties = "".join(f'<property value="0">{escape(name)}</property>' for name in names)
+    return f'<system name="{_DECLARED}">{properties}</system>'.encode()
+
+
+def _first_section(file: Path, data: bytes) -> int:
+    """Return where the first section of the aircraft begins that JSBSim calculates with."""
+    parser = expat.ParserCreate()
+    found: list[int] = []
+
+    def begin(name: str, _: Mapping[str, str]) -> None:
+        if name == "metrics" and not found:
+            found.append(parser.CurrentByteIndex)
+
+    parser.StartElementHandler = begin
+    parser.Parse(data, True)
+    if not found:
+        raise AircraftError(f"{file}: has no <metrics> (an aircraft has wing area, span and chord)")
+    return found[0]
+
+
+class _NamedFile(NamedTuple):
+    """A file that an element names."""
+
+    place: FileLine
+    element: str
+    name: str
+
+
+class _Scan:
+    """What must be known of a file to copy it: files that it names, and what is cut out."""
+
+    def __init__(self, file: Path, *, is_main: bool) -> None:
+        """Read one file.
+
+        Raises:
+            AircraftError: it cannot be read, or is not XML; with file and line.
+        """
+        self.file, self._is_main = file, is_main
+        self.data = read_bounded(file, MAX_BYTES, error=AircraftError)
+        self.uses: list[_NamedFile] = []
+        self.cuts: list[Cut] = []
+        self.problems: list[str] = []
+        self._spans: list[tuple[int, int]] = []
+        self._depth = 0
+        self._begun: tuple[int, int] | None = None  # first byte and depth of what is cut
+        self._parser = parser = expat.ParserCreate()
+        parser.StartElementHandler = self._begin
+        parser.EndElementHandler = self._end
+        parser.StartDoctypeDeclHandler = self._doctype
+        parser.EndDoctypeDeclHandler = self._end_doctype
+        parser.DefaultHandler = self._other  # with which entities are not expanded
+        if b"\0" in self.data:
+            raise AircraftError(f"{file}:1: is not UTF-8 or ASCII (save the file as UTF-8)")
+        _parse(parser, self.data, file)
+        if self._spans and not self.problems:  # an attribute may use an entity
+            _parse(expat.ParserCreate(), self.remaining(), file)
+
+    def remaining(self) -> bytes:
+        """Return the file without what is cut out, whose line breaks stay."""
+        parts, last = [], 0
+        for begin, end in self._spans:
+            parts += [self.data[last:begin], b"\n" * self.data.count(b"\n", begin, end)]
+            last = end
+        return b"".join((*parts, self.data[last:]))
+
+    def _place(self) -> FileLine:
+        return FileLine(self.file, self._parser.CurrentLineNumber)
+
+    def _begin(self, name: str, attributes: Mapping[str, str]) -> None:
+        self._depth += 1
+        if self._begun is not None:
+            return
+        place = self._place()
+        if self._depth == 1 and self._is_main and name != MAIN:
+            self.problems.append(
+                f"{place}: begins with <{name[:40]}>, and a JSBSim aircraft with <{MAIN}> "
+                "(give the file of an aircraft)"
+            )
+        if self._is_main and self._depth == 2 and name in _CUT:
+            self._begun = self._parser.CurrentByteIndex, self._depth
+            self.cuts.append(Cut(place, f"<{name}>"))
+        elif "file" in attributes and name in GRAMMAR and GRAMMAR[name].folders:
+            self.uses.append(_NamedFile(place, name, attributes["file"]))
+
+    def _end(self, name: str) -> None:
+        if self._begun is not None and self._begun[1] == self._depth:
+            # of <output/> the byte behind it, which may be the end tag of the aircraft
+            end = self._parser.CurrentByteIndex
+            if self.data.startswith(f"</{name}".encode(), end):
+                end = self.data.index(b">", end) + 1
+            self._spans.append((self._begun[0], end))
+            self._begun = None
+        self._depth -= 1
+
+    def _doctype(self, *_: Any) -> None:  # noqa: ANN401 - expat's
+        self.cuts.append(Cut(self._place(), "<!DOCTYPE>"))
+        begin = self.data.rindex(_DOCTYPE, 0, self._parser.CurrentByteIndex)
+        self._spans.append((begin, begin))
+
+    def _end_doctype(self) -> None:
+        begin, _ = self._spans[-1]
+        self._spans[-1] = begin, self._parser.CurrentByteIndex + 1
+
+    def _other(self, text: str) -> None:
+        if text.startswith("&"):
+            self.problems.append(
+                f"{self._place()}: uses the entity {text[:40]} (write its text in its place)"
+            )
+
+
+def _parse(parser: Any, data: bytes, file: Path) -> None:  # noqa: ANN401 - expat's
+    try:
+        parser.Parse(data, True)
+    except expat.ExpatError as error:
+        text = expat.ErrorString(error.code)
+        raise AircraftError(f"{FileLine(file, error.lineno)}: is not XML: {text}") from None
+    except (ValueError, LookupError) as error:
+        raise AircraftError(f"{file}:1: is not XML in a known encoding: {error}") from None
+
+
+class _Search:
+    """Where the files of an aircraft may lie."""
+
+    def __init__(self, own: Path, shared: Path) -> None:
+        """Search the aircraft's folder, the tree that it lies in, and JSBSim's own."""
+        self._own = own
+        self._trees = tuple(dict.fromkeys((own.parent.parent, shared.resolve())))
+
+    def find(self, use: _NamedFile) -> tuple[Path, Path]:
+        """Return the file that an element names, and its path in the new folder.
+
+        Raises:
+            AircraftError: there is none, or its name leaves the folder.
+        """
+        if not _PLAIN_NAME.fullmatch(use.name):
+            raise AircraftError(
+                f"{use.place}: file={use.name[:60]!r} is no plain name (copy the file beside the "
+                "aircraft, and write its name)"
+            )
+        path = use.name if use.name.endswith(".xml") else f"{use.name}.xml"
+        for root, candidate, where in self._candidates(use.element, path):
+            if candidate.is_file():
+                found = candidate.resolve()
+                if not found.is_relative_to(root.resolve()):
+                    raise AircraftError(
+                        f"{use.place}: file={use.name!r} is a link out of {root} (put a copy there)"
+                    )
+                return found, where
+        raise AircraftError(
+            f"{use.place}: file={use.name!r}: there is no {path} {self._places(use.element)}"
+        )
+
+    def _candidates(self, element: str, path: str) -> Iterator[tuple[Path, Path, Path]]:
+        """Yield the root, a candidate in it, and its place in the new folder."""
+        yield self._own, self._own / path, Path(path)
+        kind = _FOLDERS.get(element)
+        if kind is None:
+            return
+        for spelling in _SPELLINGS[kind]:
+            yield self._own, self._own / spelling / path, Path(kind, path)
+        for tree in self._trees:
+            yield tree / _SHARED[kind], tree / _SHARED[kind] / path, Path(kind, path)
+
+    def _places(self, element: str) -> str:
+        kind = _FOLDERS.get(element)
+        if kind is None:
+            return f"in {self._own}"
+        shared = " or ".join(str(tree / _SHARED[kind]) for tree in self._trees)
+        return f"in {self._own}, its {kind}, or {shared}"

@@ -1,0 +1,162 @@
+"""`testbed new aircraft` with aircraft of JSBSim's own collection."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from commands import call_command
+
+import testbed
+from testbed.autopilot.parameters import read_params
+from testbed.scenario import find_aircraft, load_middle_loop, loads
+from testbed.trials.check_flight import DURATION_S, check_and_soften, fly_check
+from testbed.trials.first_gains import softened
+from testbed.trials.step_responses import measure_steps, start_of
+from testbed.vehicle.jsbsim_adapter import SHARED_FILES, linearize_aircraft
+from testbed.vehicle.trim import TrimPoint
+
+COLLECTION = SHARED_FILES / "aircraft"
+SPEED = 55.0
+FORMATION = """
+scenario: {{schema: 2, name: two, duration_s: 80, windows: {{straight: [60, 80]}}}}
+leader:
+  aircraft: {folder}
+  start: {{altitude_m: 400}}
+  path: {{kind: virtual, speed_mps: 55, curve: {{kind: straight}}}}
+fleet:
+  - {{name: uav1, aircraft: {folder}, start_m: [-50, 25, 0]}}
+  - {{name: uav2, aircraft: {folder}, start_m: [-50, -25, 0]}}
+formation:
+  offsets_m: {{uav1: [-30, 25, 0], uav2: [-30, -25, 0]}}
+  leader_gains: {{uav1: 1, uav2: 1}}
+  speed_mps: [40, 70]
+"""
+
+
+def file_of(name):
+    return COLLECTION / name / f"{name}.xml"
+
+
+def new_aircraft(cwd, name, *options, code=0):
+    arguments = "new", "aircraft", file_of(name), *options
+    return call_command(*arguments, cwd=cwd, code=code, columns=100)
+
+
+@pytest.fixture(scope="module")
+def cessna(tmp_path_factory):
+    """Folder, document and output of the c172p, a piston aircraft with a fixed propeller."""
+    cwd = tmp_path_factory.mktemp("new")
+    options = "--speed", SPEED, "--into", cwd / "cessna", "--json", cwd / "found.json"
+    done = new_aircraft(cwd, "c172p", *options)
+    return cwd / "cessna", json.loads((cwd / "found.json").read_text()), done
+
+
+def test_new_aircraft_has_all_its_files(cessna):
+    folder, document, done = cessna
+    files = {str(each.relative_to(folder)) for each in folder.rglob("*") if each.is_file()}
+    assert files == {
+        *("cessna.xml", "Engines/eng_io320.xml", "Engines/prop_75in2f.xml", "autopilot.param"),
+        *("middle_loop.yaml", "guidance.yaml", "envelope.png", "SOURCE.md"),
+    }
+    assert (folder / "cessna.xml").read_bytes() == file_of("c172p").read_bytes()
+    assert [each.name for each in folder.parent.iterdir() if each.is_dir()] == ["cessna"]
+    assert document["aircraft"] == "cessna" and document["cut"] == document["declared"] == []
+    for text in ("level flight", "fly-by-wire A", "testbed trim", "formation.speed_pole_per_s"):
+        assert text in done.stdout
+    for text in ("trim …", "step responses …", "60 s of fly-by-wire A …"):
+        assert text in done.stderr
+
+
+def test_new_aircraft_follows_its_autopilot(cessna):
+    _, document, _ = cessna
+    level, last = document["level_flight"], document["flights"][-1]
+    assert level["lowest"] < 30.0 < SPEED < 60.0 < level["highest"] < 75.0
+    assert last["problem"] == "" and last["flown_s"] == DURATION_S
+    assert last["roll_rise_s"] < 1.2 and abs(last["roll_overshoot"]) < 0.05
+    assert last["pitch_rise_s"] < 0.6 and abs(last["pitch_overshoot"]) < 0.1
+
+
+def test_written_gains_are_those_of_the_document(cessna):
+    folder, document, _ = cessna
+    params = read_params(folder / "autopilot.param")
+    assert params.airspeed_stall < params.airspeed_min < params.airspeed_cruise
+    assert params.airspeed_cruise < params.airspeed_max
+    gains = load_middle_loop(folder, "tuned")
+    assert gains.course.p == document["middle_loop"]["course"]["p"]
+    assert gains.trim_airspeed_mps == SPEED
+    source = (folder / "SOURCE.md").read_text(encoding="utf-8")
+    assert "no number was measured on a real aircraft" in source
+    assert f"{document['speed_pole_per_s']:.2f} 1/s" in source
+
+
+def test_two_new_aircraft_hold_their_slots(cessna):
+    """The aim is 0.1 m RMS straight; measured 0.04."""
+    folder, _, _ = cessna
+    flown = testbed.run(loads(FORMATION.format(folder=folder)), write=False)
+    errors = flown.metrics["windows"]["straight"]["rms_m"]
+    assert set(errors) == {"uav1", "uav2"} and max(errors.values()) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("ball", "is not carried by a wing"),
+        ("J246", "has a rocket engine"),
+        ("ah1s", "has a rotor"),
+        ("C130", "a turbine on a propeller"),
+        ("ZLT-NT", "is carried by a gas cell"),
+        ("blank", "begins with <FDM_CONFIG>"),
+    ],
+)
+def test_what_is_no_aeroplane_is_refused(tmp_path, name, reason):
+    done = new_aircraft(tmp_path, name, code=2)
+    assert reason in done.stderr and str(tmp_path) not in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_existing_folder_is_refused(tmp_path):
+    (tmp_path / "c172p").mkdir()
+    done = new_aircraft(tmp_path, "c172p", code=2)
+    assert "c172p: it exists; remove it or write another name" in done.stderr
+    done = new_aircraft(tmp_path, "c172p", "--into", "a b", code=2)
+    assert "--into" in done.stderr
+    assert [each.name for each in tmp_path.iterdir()] == ["c172p"]
+
+
+def test_speed_without_level_flight_is_refused(tmp_path):
+    done = new_aircraft(tmp_path, "c172p", "--speed", "90", code=2)
+    assert "trim at 90 m/s" in done.stderr and "remain at throttle 1.00" in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+RASCAL, CRUISE = find_aircraft("rascal110"), TrimPoint(22.0, altitude=400.0)
+
+
+def test_steps_agree_with_the_linearised_aircraft():
+    """Rates per full command: −L_δa / L_p, and M_δe for the first acceleration of the pitch."""
+    steps = measure_steps(RASCAL, CRUISE)
+    linear = linearize_aircraft(RASCAL, CRUISE, start_of(CRUISE)[1])
+    roll, pitch = 6, 2  # rows of p and q
+    assert steps.roll_rate == pytest.approx(-linear.b[roll, 0] / linear.a[roll, roll], rel=0.15)
+    assert steps.pitch_acceleration == pytest.approx(linear.b[pitch, 1], rel=0.4)
+    assert steps.pitch_acceleration < linear.b[pitch, 1]
+
+
+def test_ringing_gains_are_softened():
+    """A large integral and no time constant ring, which is found, and ended by softening."""
+    good = read_params(RASCAL / "autopilot.param")
+    assert fly_check(RASCAL, CRUISE, good).problem == ""
+    wild = replace(good, rll_rate_p=0.19, rll_rate_i=4.1, rll2srv_tconst=0.05, rll2srv_rmax=0.0)
+    first = fly_check(RASCAL, CRUISE, wild)
+    assert first.ringing == ("roll",) and "roll rings" in first.problem
+    flown = []
+    last = check_and_soften(RASCAL, CRUISE, wild, flown.append)
+    assert last.problem == "" and 1 <= last.softenings <= 4
+    assert len(flown) == last.softenings + 1
+    expected = wild
+    for _ in range(last.softenings):
+        expected = softened(expected, "roll")
+    assert last.params == expected
+    assert np.isclose(expected.rll_rate_p, wild.rll_rate_p / 2**last.softenings, rtol=0.01)
+    assert expected.ptch_rate_p == wild.ptch_rate_p
