@@ -6,8 +6,6 @@ usage: python tests/warm.py first|sensors|flights
 import sys
 import time
 
-from testbed.cli.output import message_console
-from testbed.cli.progress import CompilingBar
 from testbed.runs.run import run
 from testbed.scenario import load_scenario, set_duration
 
@@ -20,10 +18,9 @@ SCENARIOS = {
     ),
 }
 begin = time.monotonic()
-console = message_console()
-bar = CompilingBar(console) if sys.argv[1] == "first" else None
+first = sys.argv[1] == "first"
 for name in SCENARIOS[sys.argv[1]]:
     short = set_duration(load_scenario(name, ["log.mcap=false"]), 0.5)
-    run(short, write=False, compiling=bar)
-if bar is not None:
-    console.write_line(f"  ready in {time.monotonic() - begin:.0f} s")
+    run(short, write=False, progress=first)
+if first:
+    print(f"  ready in {time.monotonic() - begin:.0f} s", file=sys.stderr)

@@ -13,7 +13,7 @@ import typer
 
 from testbed.cli.exit_codes import ExitCode
 from testbed.cli.output import describe_file, message_console, result_console
-from testbed.cli.progress import CompilingBar, ProgressBar, activity, progress_counter
+from testbed.cli.progress import activity, progress_counter
 from testbed.cli.view import sigterm_interrupts
 from testbed.core.files import report_write_errors
 
@@ -60,7 +60,7 @@ def demo_command(
     messages, console = message_console(), result_console()
     messages.write_line(f"demo: {DURATION_S:g} s of {SCENARIO}, four aircraft on a crowded channel")
     with _phase(1, "fly", messages):
-        run = _fly(_scenario(), out, messages)
+        run = _fly(_scenario(), out)
     folder = run.directory
     if folder is None or run.exit_code == ExitCode.INTERRUPTED:
         raise typer.Exit(run.exit_code)
@@ -98,11 +98,10 @@ def _scenario() -> Scenario:
     return set_duration(load_scenario(SCENARIO, [f"scenario.name={SHOWN_AS}", window]), DURATION_S)
 
 
-def _fly(scenario: Scenario, out: Path | None, messages: PipeSafeConsole) -> Run:
+def _fly(scenario: Scenario, out: Path | None) -> Run:
     from testbed.runs.run import run
 
-    observers = [ProgressBar(messages)]
-    return run(scenario, out=out, observers=observers, compiling=CompilingBar(messages))
+    return run(scenario, out=out, progress=True)
 
 
 def _film(log: RunLog, path: Path) -> None:

@@ -41,9 +41,9 @@ from testbed.logs.run_directory import (
     create_run_directory,
     write_run_file,
 )
-from testbed.metrics import MetricsObserver
 from testbed.metrics.document import write_json
 from testbed.metrics.model import Metrics
+from testbed.metrics.observer import MetricsObserver
 from testbed.plan.fleet import FormationPlan, resolve
 from testbed.plan.world import build_clock, versions
 from testbed.recordings.motion import (

@@ -19,7 +19,7 @@ from testbed.core.files import write_file
 from testbed.core.input_files import read_bounded
 from testbed.vehicle.airframe_validation import MAX_BYTES
 from testbed.vehicle.jsbsim_adapter import airframe
-from testbed.vehicle.jsbsim_model import AircraftError
+from testbed.vehicle.powerplant import AircraftError
 
 FACTORS = {
     "mass": "of the whole mass, at the centre of gravity of the empty weight; inertia is unchanged",

@@ -16,7 +16,7 @@ from testbed.trials.response_comparison import best_shift, compare_response
 from testbed.vehicle.airframe_variant import copy_with_factors
 from testbed.vehicle.command_files import RESPONSES, read_commands, write_response
 from testbed.vehicle.jsbsim_adapter import airframe, trim_aircraft
-from testbed.vehicle.jsbsim_model import AircraftError
+from testbed.vehicle.powerplant import AircraftError
 from testbed.vehicle.replay_commands import ReplaySetup, replay_one
 from testbed.vehicle.trim import TrimPoint
 
