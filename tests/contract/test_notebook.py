@@ -44,3 +44,14 @@ def test_notebook_has_picture_and_message_age(ran):
     texts = [output.text for output in outputs(ran) if output.output_type == "stream"]
     # a delay of 0.1 s and, at 50 Hz, 0 to 0.02 s until the message is used
     assert any("were 0.1" in text and " s old" in text for text in texts), texts
+
+
+def test_notebook_shows_the_progress_of_a_flight(ran):
+    """One line of the cell's output, which says at the end how long the flight took."""
+    first = next(cell for cell in ran.cells if cell.cell_type == "code")
+    lines = [
+        output["data"]["text/plain"]
+        for output in first.outputs
+        if output.output_type == "display_data"
+    ]
+    assert len(lines) == 1 and "simulation-3: 60 s simulated in " in lines[0], lines

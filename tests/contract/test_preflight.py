@@ -190,11 +190,13 @@ def test_windows_after_the_duration_are_named(tmp_path):
     done = CliRunner().invoke(app, [*words, "--out", str(tmp_path / "out")])
     assert done.exit_code == 0
     assert " windows not reached rectangles (95 to 550 s), circles (650 to 1080 s)" in done.stdout
+    second_half = "errors are those of the second half of the flight"
+    assert second_half in " ".join(done.stdout.split())
     windows = "scenario.windows={rectangles: [0.5, 3], circles: [2, 3]}"
     done = CliRunner().invoke(app, [*words, "--set", windows, "--out", str(tmp_path / "cut")])
     text = " ".join(done.stdout.split())
     assert "windows cut short rectangles (0.5 to 3 s), not compared with published numbers" in text
-    assert "windows not reached circles (2 to 3 s)" in text
+    assert "windows not reached circles (2 to 3 s)" in text and second_half not in text
     with pytest.raises(ScenarioError, match=r"rectangles: ends at 550 s, after the run, which"):
         load_scenario("simulation-3", ["scenario.duration_s=60"])
 

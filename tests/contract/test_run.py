@@ -397,7 +397,13 @@ def test_run_is_printed_as_a_short_table(tmp_path):
     """Outcome, RMS errors by follower and window, separation, directory: ten lines at most."""
     names = [f"uav{k}" for k in range(1, 9)]
     windows = {
-        f"w{k}": {"rms_m": {name: k + 0.1 * i for i, name in enumerate(names)}, "mean_rms_m": None}
+        f"w{k}": {
+            "window_s": [10.0 * k, 10.0 * k + 10.0],
+            "covered_s": 10.0 if k < 3 else 4.0,
+            "complete": k < 3,
+            "rms_m": {name: k + 0.1 * i for i, name in enumerate(names)},
+            "mean_rms_m": None,
+        }
         for k in range(6)
     }
     head = {"scenario": "here <b>", "seed": 1, "outcome": "lost", "simulated_s": 90.0}
@@ -409,13 +415,11 @@ def test_run_is_printed_as_a_short_table(tmp_path):
     assert lines[1].split() == [
         *("RMS", "error,", "4", "worst,", "m", "w0", "w1", "w2", "w3", "and", "2", "more")
     ]
-    assert [line.split()[0] for line in lines[2:6]] == names[4:]  # those with the largest errors
-    assert lines[5].split() == ["uav8", "0.70", "1.70", "2.70", "3.70"]
-    assert lines[6:] == [
-        "mean of 8                 –     –     –     –",
-        "smallest separation 5.00 m",
-        str(tmp_path),
-    ]
+    assert lines[2].split() == "0–10 s 10–20 s 20–30 s 30–40 s, 4 s flown".split()
+    assert [line.split()[0] for line in lines[3:7]] == names[4:]  # those with the largest errors
+    assert lines[6].split() == ["uav8", "0.70", "1.70", "2.70", "3.70"]
+    assert lines[7].split() == ["mean", "of", "8", *"––––"]
+    assert lines[8:] == ["smallest separation 5.00 m", str(tmp_path)]
     html = run._repr_html_()
     assert "<td>uav8</td><td>0.70</td>" in html and "here &lt;b&gt;" in html
     short = testbed.Run(run.scenario, metrics | {"windows": {}}, None)
