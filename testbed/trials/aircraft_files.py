@@ -141,8 +141,8 @@ def _speed_parts(found: DerivedAircraft) -> list[str]:
         "## Speed",
         f"A step of {found.speed.step:+g} m/s of the commanded speed, with the middle loop: pole "
         f"{model.pole:.2f} 1/s, delay {model.delay:.2f} s, fit error {100.0 * model.rms:.0f} %. "
-        "The pole is `formation.speed_pole_per_s` of a scenario. A smaller one asks for more speed, "
-        "and oscillates where the engine is late.",
+        "The pole is `formation.speed_pole_per_s` of a scenario. A smaller one asks for more "
+        "speed, and oscillates where the engine is late.",
     ]
 
 
