@@ -242,7 +242,15 @@ def _modes_of_aircraft(
 def _trim_aircraft(folder: Path, point: TrimPoint, origin: NedOrigin) -> TrimResult:
     model = _located(folder, point, origin)
     with error_prefix(folder.name):
-        return trim(model, point)
+        try:
+            return trim(model, point)
+        except TrimError:
+            if not (slope := lift_slope(model)) > _SMALLEST_SLOPE:
+                raise TrimError(
+                    f"its lift coefficient grows by {slope:.2g} per radian of angle of attack near "
+                    "0: that is no aeroplane's, and the testbed flies aeroplanes"
+                ) from None
+            raise
 
 
 def _located(folder: Path, point: TrimPoint, origin: NedOrigin) -> JsbsimModel:
@@ -318,11 +326,6 @@ def _probe(folder: Path, on_error: Callable[[str], None]) -> dict[str, Any]:
     for name in _SIZES:
         if not 0.0 < (size := model.node(name).get_double_value()) < math.inf:
             raise AircraftError(f"{name} is {size:g} when loaded; it must be greater than 0")
-    if not (slope := lift_slope(model)) > _SMALLEST_SLOPE:
-        raise AircraftError(
-            f"{folder.name} is not carried by a wing: its lift coefficient grows by {slope:.2g} "
-            "per radian of angle of attack near 0; the testbed flies aeroplanes"
-        )
     inertia = model.inertia()
     if fault := impossible_inertia(inertia):
         raise AircraftError(f"mass_balance: no rigid body has {fault}")

@@ -38,6 +38,7 @@ _STEADY = 1e-4  # m/s² and rad/s², largest acceptable residual
 _FIRST_THROTTLES = (0.3, 0.6, 0.9)  # thrust may fall with throttle while the propeller brakes
 _STEEPEST, _HIGHEST = -1.0, 0.2  # rad, flight-path angles of a glider
 _FIRST_DESCENTS = (-0.05, -0.15, -0.4)  # rad
+_USELESS = 0.02  # m/s² and rad/s², of a control moved by 0.8
 _CONVERGED = 1e-8  # m/s² and rad/s², residual at which the iteration ends
 
 
@@ -222,6 +223,12 @@ def trim(model: TrimModel, point: TrimPoint) -> TrimResult:
             break
     if best > _STEADY:
         model.check_engines()
+        if useless := _without_effect(model, point):
+            raise TrimError(
+                f"{_words(point)}: no steady flight: the commands of {' and '.join(useless)} have "
+                "no effect (an autopilot in the files of the aircraft may take their place: remove "
+                "it)"
+            )
         sixth = (
             f"throttle {best_x[5]:.2f}"
             if model.has_engine
@@ -247,6 +254,24 @@ def trim(model: TrimModel, point: TrimPoint) -> TrimResult:
         has_engine=model.has_engine,
         flight_path_angle=_flown_point(model, point, best_x).flight_path_angle,
     )
+
+
+def _without_effect(model: TrimModel, point: TrimPoint) -> list[str]:
+    """Return the names of the controls that do not accelerate the aircraft, but for the rudder."""
+    ahead, found = place(point, 0.0, 0.0), list[str]()
+    for name in ("aileron", "elevator", "throttle"):
+        if name == "throttle" and not model.has_engine:
+            continue
+        middle = Controls(0.0, 0.0, 0.0, 0.5)
+        low, high = (
+            model.accelerations(
+                ahead, replace(middle, **{name: getattr(middle, name) + change}), spin=True
+            )
+            for change in (-0.4, 0.4)
+        )
+        if float(np.max(np.abs(high - low))) < _USELESS:
+            found.append(name)
+    return found
 
 
 def _newton(model: TrimModel, point: TrimPoint, first: float) -> tuple[Array, float]:

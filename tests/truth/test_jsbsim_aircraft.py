@@ -121,6 +121,18 @@ def test_fuel_burn_needs_fuel(folders, tmp_path):
         placed(empty, fuel_burn=True)
 
 
+def test_what_has_no_wing_is_named(tmp_path):
+    with pytest.raises(TrimError, match="mk82: its lift coefficient grows by 0.08"):
+        find_cruise(of_jsbsim("mk82", tmp_path))
+
+
+def test_control_without_effect_is_named(folders, tmp_path):
+    pattern = r'(<summer name="Pitch Trim Sum">\s*<input>)\s*fcs/elevator-cmd-norm'
+    deaf = changed(folders["c172p"], tmp_path, (pattern, r"\1fcs/flap-cmd-norm"))
+    with pytest.raises(TrimError, match="the commands of elevator have no effect"):
+        trim_aircraft(deaf, TrimPoint(80.0))
+
+
 def test_cruise_speed_has_its_lift_coefficient(folders):
     """Where there is steady flight at once, as for a Cessna: 0.4 at sea level."""
     trim, measured = find_cruise(folders["c172p"]), airframe(folders["c172p"])
