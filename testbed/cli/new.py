@@ -188,22 +188,19 @@ def _flight_table(found: DerivedAircraft) -> Table:
 
 
 def _ending(folder: Path, found: DerivedAircraft) -> list[str]:
-    from testbed.trials.aircraft_files import equivalent_pole
-
     lines = []
     if found.speed is not None:
         model = found.speed.model
         lines += [
-            f"speed model: pole {model.pole:.2f} 1/s, delay {model.delay:.2f} s; in a scenario "
-            f"formation.speed_pole_per_s: {equivalent_pole(found):.2f}",
+            f"speed model: pole {model.pole:.2f} 1/s (formation.speed_pole_per_s), delay "
+            f"{model.delay:.2f} s",
             "",
         ]
     speed = f"{found.level.airspeed:g}"
     path = folder if folder.parts[:-1] else f"./{folder}"
     return [
         *lines,
-        f"written: {folder}: XML, Engines, Systems, autopilot.param, middle_loop.yaml, "
-        f"guidance.yaml, {PICTURE}, SOURCE.md",
+        f"written: {path}; SOURCE.md says what was derived, {PICTURE} shows level flight",
         f"next: testbed trim {path} --airspeed {speed}",
         f"      testbed linearize {path} --airspeed {speed}",
         f"      aircraft: {path} in a scenario",
@@ -213,7 +210,7 @@ def _ending(folder: Path, found: DerivedAircraft) -> list[str]:
 def _document(folder: Path, copied: CopiedAircraft, found: DerivedAircraft) -> dict[str, Any]:
     from dataclasses import asdict
 
-    from testbed.trials.aircraft_files import check_document, equivalent_pole
+    from testbed.trials.aircraft_files import check_document
 
     return {
         "aircraft": folder.name,
@@ -239,5 +236,5 @@ def _document(folder: Path, copied: CopiedAircraft, found: DerivedAircraft) -> d
         "flights": [check_document(each) for each in found.flights],
         "middle_loop": found.middle_loop,
         "guidance": found.guidance,
-        "speed_pole_per_s": None if found.speed is None else equivalent_pole(found),
+        "speed_pole_per_s": None if found.speed is None else found.speed.model.pole,
     }

@@ -141,16 +141,9 @@ def _speed_parts(found: DerivedAircraft) -> list[str]:
         "## Speed",
         f"A step of {found.speed.step:+g} m/s of the commanded speed, with the middle loop: pole "
         f"{model.pole:.2f} 1/s, delay {model.delay:.2f} s, fit error {100.0 * model.rms:.0f} %. "
-        f"One pole with the same mean lag is {equivalent_pole(found):.2f} 1/s: "
-        "`formation.speed_pole_per_s` of a scenario.",
+        "The pole is `formation.speed_pole_per_s` of a scenario. A smaller one asks for more "
+        "speed, and oscillates where the engine is late.",
     ]
-
-
-def equivalent_pole(found: DerivedAircraft) -> float:
-    """Return the pole without delay that has the mean lag of the speed model, 1/s."""
-    assert found.speed is not None
-    model = found.speed.model
-    return 1.0 / (1.0 / model.pole + model.delay)
 
 
 def _changes(copied: CopiedAircraft) -> str:

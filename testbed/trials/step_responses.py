@@ -26,6 +26,8 @@ ROLL_S, PITCH_S, THROTTLE_S = 1.5, 2.0, 6.0  # of the responses
 RUDDER_MIXES = (0.0, 0.25, 0.5, 0.75, 1.0)  # rudder per aileron
 _PITCH_MEAN_S = 0.5, 1.5  # between which the pitch rate is averaged
 _SLOPE_S = 0.05  # over which an acceleration is taken
+# Rows of the aircraft after the first: what each moves; the others move ailerons and rudder.
+_ELEVATOR, _MORE, _LESS, _MIXED = 1, 2, 3, 4
 _LEAST_RATE = 0.02  # rad/s per full control: less is no control
 
 
@@ -77,30 +79,35 @@ def measure_steps(folder: Path, point: TrimPoint) -> StepResponses:
         ResponseError: ailerons or elevator have no effect, or the wrong one.
     """
     start, origin = start_of(point)
-    fleet = JsbsimFleet([folder] * (3 + len(RUDDER_MIXES)), [start] * (3 + len(RUDDER_MIXES)),
-                        origin, RATE_HZ)  # fmt: skip
-    first = fleet.read()
-    has_engine = fleet.trims[0].has_engine
-    held = fleet.trimmed
-    surfaces = ActuatorCommand(*(each.copy() for each in held))
-    mixed = slice(3, None)
-    up = ELEVATOR if held.elevator[1] < 0.5 else -ELEVATOR
-    more = THROTTLE if held.throttle[2] + THROTTLE <= 1.0 else -THROTTLE
-    surfaces.elevator[1] += up
-    surfaces.throttle[2] += more
-    surfaces.aileron[mixed] += AILERON
-    surfaces.rudder[mixed] += AILERON * np.array(RUDDER_MIXES)
+    count = _MIXED + len(RUDDER_MIXES)
+    fleet = JsbsimFleet([folder] * count, [start] * count, origin, RATE_HZ)
+    first, trim = fleet.read(), fleet.trims[0].controls
+    surfaces = ActuatorCommand(*(each.copy() for each in fleet.trimmed))
+    up = ELEVATOR if trim.elevator < 0.5 else -ELEVATOR
+    surfaces.elevator[_ELEVATOR] += up
+    throttles = {
+        row: step
+        for row, step in ((_MORE, THROTTLE), (_LESS, -THROTTLE))
+        if fleet.trims[0].has_engine and 0.0 <= trim.throttle + step <= 1.0
+    }
+    for row, step in throttles.items():
+        surfaces.throttle[row] += step
+    surfaces.aileron[_MIXED:] += AILERON
+    surfaces.rudder[_MIXED:] += AILERON * np.array(RUDDER_MIXES)
     flown = _fly(fleet, surfaces, THROTTLE_S)
     rates = flown.rates - flown.rates[:, :1]
 
-    p = rates[flown.time <= ROLL_S, 3:, 0] / AILERON
-    beta = np.abs(flown.beta[:, 3:] - flown.beta[:, :1])[flown.time <= ROLL_S].max(axis=0) / AILERON
+    p = rates[flown.time <= ROLL_S, _MIXED:, 0] / AILERON
+    beta = (
+        np.abs(flown.beta[:, _MIXED:] - flown.beta[:, :1])[flown.time <= ROLL_S].max(axis=0)
+        / AILERON
+    )
     best = int(beta.argmin())
     roll_rate = float(p[:, best].max())
-    q = rates[flown.time <= PITCH_S, 1, 1] / up
+    q = rates[flown.time <= PITCH_S, _ELEVATOR, 1] / up
     low, high = _PITCH_MEAN_S
     settled = (flown.time >= low) & (flown.time <= high)
-    pitch_rate = float((rates[settled, 1, 1] / up).mean())
+    pitch_rate = float((rates[settled, _ELEVATOR, 1] / up).mean())
     for name, rate, way in (
         ("aileron", roll_rate, "rolls the aircraft to the right"),
         ("elevator", pitch_rate, "pitches the aircraft up"),
@@ -108,7 +115,10 @@ def measure_steps(folder: Path, point: TrimPoint) -> StepResponses:
         _check_rate(name, rate, way)
     within = round(_SLOPE_S * RATE_HZ)
     slope = (q[within:] - q[:-within]) / _SLOPE_S
-    acceleration, throttle_s = _throttle_response(flown, more) if has_engine else (0.0, 0.0)
+    # the stronger and the slower of both: an engine may lose power later than it gains it
+    responses = [_throttle_response(flown, row, step) for row, step in throttles.items()]
+    acceleration = max((each[0] for each in responses), default=0.0)
+    throttle_s = max((each[1] for each in responses), default=0.0)
     return StepResponses(
         airspeed=point.airspeed,
         equivalent_airspeed=float(first.equivalent_airspeed[0]),
@@ -137,9 +147,9 @@ def _fly(fleet: JsbsimFleet, surfaces: ActuatorCommand, duration_s: float) -> _F
     return _Flown(time, rates, airspeed, beta)
 
 
-def _throttle_response(flown: _Flown, step: float) -> tuple[float, float]:
+def _throttle_response(flown: _Flown, row: int, step: float) -> tuple[float, float]:
     """Return the settled acceleration for full throttle, m/s², and its time to 63 %, s."""
-    speed = (flown.airspeed[:, 2] - flown.airspeed[:, 0]) / step
+    speed = (flown.airspeed[:, row] - flown.airspeed[:, 0]) / step
     within = round(0.25 * RATE_HZ)
     acceleration = (speed[within:] - speed[:-within]) * (RATE_HZ / within)
     # drag takes the acceleration away again: its largest value is the engine's
