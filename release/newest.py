@@ -4,7 +4,7 @@ usage: python release/newest.py [jsbsim==VERSION] [rerun-sdk==VERSION]
 
 Installs them into build/newest, without hashes, and runs the tests of flight models and of the
 viewer with them in front of the pinned packages. The environment stays as it is. The exit code is
-that of the tests, 0 if there is no other release.
+that of the tests, 0 if there is no other release, 2 if it cannot be installed.
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ def main(names: list[str]) -> int:
     shutil.rmtree(INTO, ignore_errors=True)
     pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet"]
     wheels = ["--no-deps", "--only-binary", ":all:", "--target", str(INTO)]
-    subprocess.run([*pip, "install", *wheels, *(names or NAMES)], check=True)
+    if subprocess.run([*pip, "install", *wheels, *(names or NAMES)]).returncode:
+        return 2
     found = {each.name: each.version for each in distributions(path=[str(INTO)])}
     for name, new in found.items():
         print(f"{name} {new}, pinned {version(name)}", flush=True)
