@@ -158,10 +158,10 @@ def fit_airframe(
 def block_covariance(residual: Array, slope: Array, blocks: int = _BLOCKS) -> Array:
     """Estimate the covariance of least-squares parameters whose residuals are correlated.
 
-    The sandwich estimator with the scores summed over consecutive blocks of time: correlations
-    within a block and between columns may be any (Bester, Conley and Hansen, Inference with
-    dependent data using cluster covariance estimators, Journal of Econometrics 165, 2011).
-    Intervals take Student's t with `blocks` − 1 degrees of freedom.
+    The jackknife that leaves out one block of time after the other: correlations within a block and
+    between columns may be any, and blocks may tell different amounts (MacKinnon, Nielsen and Webb,
+    Fast and reliable jackknife and bootstrap methods for cluster-robust inference, Journal of
+    Applied Econometrics 38, 2023). Intervals take Student's t with `blocks` − 1 degrees of freedom.
 
     Args:
         residual: (K, C) at the minimum, in standard deviations.
@@ -170,11 +170,25 @@ def block_covariance(residual: Array, slope: Array, blocks: int = _BLOCKS) -> Ar
 
     Returns:
         (P, P)
+
+    Raises:
+        InputError: without one of the blocks the parameters cannot be told apart.
     """
-    bread = np.linalg.inv(np.einsum("kcp,kcq->pq", slope, slope))
-    scores = np.einsum("kcp,kc->kp", slope, residual)
-    sums = np.array([each.sum(axis=0) for each in np.array_split(scores, blocks)])
-    result: Array = bread @ (sums.T @ sums) @ bread * blocks / (blocks - 1)
+    parts = [
+        (np.einsum("kcp,kcq->pq", j, j), np.einsum("kcp,kc->p", j, r))
+        for j, r in zip(
+            np.array_split(slope, blocks), np.array_split(residual, blocks), strict=True
+        )
+    ]
+    whole = np.sum([square for square, _ in parts], axis=0)
+    try:
+        changes = np.array([np.linalg.solve(whole - square, score) for square, score in parts])
+    except np.linalg.LinAlgError:
+        raise InputError(
+            "--fit: the recording does not tell these parameters apart (fit fewer, or a recording "
+            "with more manoeuvres)"
+        ) from None
+    result: Array = changes.T @ changes * (blocks - 1) / blocks
     return result
 
 
