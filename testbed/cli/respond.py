@@ -170,10 +170,10 @@ def respond_command(
     response = replay_one(
         folder, recording, setup, lambda text: messages.write_line(f"warning: {text}")
     )
-    messages.write_line(_gyro_filter_text(sitl_rate))
     if output is not None:
         with report_write_errors(str(output)):
             write_response(output, recording, response)
+    messages.write_line(_gyro_filter_text(sitl_rate))
     try:
         check_flown(recording, response)
     except AircraftLost as loss:
@@ -251,7 +251,10 @@ def _print_comparison(
     console: PipeSafeConsole, comparison: ResponseComparison, skip: float
 ) -> None:
     if not comparison.quantities:
-        text = " nothing to compare with: the file has no recorded columns, such as phi_rad"
+        text = (
+            " nothing to compare with: the file has no recorded columns, such as phi_rad, or no "
+            f"row after {skip:g} s (--skip)"
+        )
         console.write_line(text, "yellow")
         return
     time = comparison.time_s
@@ -304,7 +307,7 @@ def _plot(file: Path, title: str, comparison: ResponseComparison) -> None:
     )
 
     if not comparison.quantities:
-        raise InputError("--plot: the file has no recorded columns to draw (leave --plot out)")
+        raise InputError("--plot: nothing recorded to draw (leave --plot out)")
     drawn = [
         RecordedAndModelled(each.name, each.unit, each.recorded, each.model, each.rms)
         for each in comparison.quantities.values()

@@ -2,8 +2,9 @@
 
 The output-error method (Jategaonkar, Flight Vehicle System Identification, 2nd ed., AIAA 2015,
 ch. 4): the model flies the commands of the recording, with its virtual autopilot in the loop. The
-squared differences of its outputs from the recorded ones, each divided by the variance of its
-column, have the least sum.
+squared differences of its outputs from the recorded ones, each divided by a variance of its column,
+have the least sum: first by the variance of what was recorded, then by that of the differences that
+were left.
 
 Sensors and mountings have offsets. Those of pitch and airspeed, which the autopilot flies with, and
 the airspeed at the start are fitted too; the constant differences of the other columns but the
@@ -45,11 +46,9 @@ _RANGES = {
     "pitch_offset": (-0.2, 0.2, 0.001),
     "airspeed_offset": (-20.0, 20.0, 0.05),
 }
-_ROUNDS = 6  # at most, with the variances of the differences before each
-_SETTLED = 0.1  # standard deviations: a round that changes every parameter less is the last
-_MAX_STEPS = 10  # of a round
-MOST_STEPS = _ROUNDS * _MAX_STEPS + 1
-_TOLERANCE = 1e-3  # relative, of the sum of squares and of the parameters, in a round
+_MAX_STEPS = 10  # of each of the two minimisations
+MOST_STEPS = 2 * _MAX_STEPS + 1
+_TOLERANCE = 1e-3  # relative, of the sum of squares and of the parameters
 _LOST = 1e3  # standard deviations, of rows that a candidate does not fly
 _BLOCKS = 8  # of the recording, for intervals
 _LEAST_SIGMA = 1e-9  # of a column without any difference
@@ -128,16 +127,17 @@ def fit_airframe(
         bounds = np.array([_RANGES[name][:2] for name in flights.names]).T
         before = _deviations(flights.differences(x)[0])
 
-        for _ in range(_ROUNDS):
-            sigma, began = _deviations(flights.differences(x)[0]), x
+        # two steps: the first needs no variances of differences, which depend on where it begins
+        for sigma in (flights.variation, None):
+            weights = 1.0 / (_deviations(flights.differences(x)[0]) if sigma is None else sigma)
 
-            def residuals(x: Array, sigma: Array = sigma) -> Array:
-                each = flights.differences(x)[0] / sigma
+            def residuals(x: Array, weights: Array = weights) -> Array:
+                each = flights.differences(x)[0] * weights
                 progress(flights.steps)
                 return each.ravel()
 
-            def jacobian(x: Array, sigma: Array = sigma) -> Array:
-                return (flights.differences(x)[1] / sigma[:, None]).reshape(-1, len(x))
+            def jacobian(x: Array, weights: Array = weights) -> Array:
+                return (flights.differences(x)[1] * weights[:, None]).reshape(-1, len(x))
 
             x = least_squares(
                 residuals,
@@ -149,21 +149,19 @@ def fit_airframe(
                 xtol=_TOLERANCE,
                 max_nfev=_MAX_STEPS,
             ).x
-            difference, slope = flights.differences(x)
-            after = _deviations(difference)
-            covariance = block_covariance(difference / after, slope / after[:, None])
-            if (np.abs(x - began) < _SETTLED * np.sqrt(np.diag(covariance))).all():
-                break
+        difference, slope = flights.differences(x)
+        after = _deviations(difference)
+        covariance = block_covariance(difference * weights, slope * weights[:, None])
     return _result(flights, x, covariance, np.stack((before, after)), len(names))
 
 
 def block_covariance(residual: Array, slope: Array, blocks: int = _BLOCKS) -> Array:
     """Estimate the covariance of least-squares parameters whose residuals are correlated.
 
-    The sandwich estimator with the scores summed over consecutive blocks of time: correlations
-    within a block and between columns may be any (Bester, Conley and Hansen, Inference with
-    dependent data using cluster covariance estimators, Journal of Econometrics 165, 2011).
-    Intervals take Student's t with `blocks` − 1 degrees of freedom.
+    The jackknife that leaves out one block of time after the other: correlations within a block and
+    between columns may be any, and blocks may tell different amounts (MacKinnon, Nielsen and Webb,
+    Fast and reliable jackknife and bootstrap methods for cluster-robust inference, Journal of
+    Applied Econometrics 38, 2023). Intervals take Student's t with `blocks` − 1 degrees of freedom.
 
     Args:
         residual: (K, C) at the minimum, in standard deviations.
@@ -172,11 +170,25 @@ def block_covariance(residual: Array, slope: Array, blocks: int = _BLOCKS) -> Ar
 
     Returns:
         (P, P)
+
+    Raises:
+        InputError: without one of the blocks the parameters cannot be told apart.
     """
-    bread = np.linalg.inv(np.einsum("kcp,kcq->pq", slope, slope))
-    scores = np.einsum("kcp,kc->kp", slope, residual)
-    sums = np.array([each.sum(axis=0) for each in np.array_split(scores, blocks)])
-    result: Array = bread @ (sums.T @ sums) @ bread * blocks / (blocks - 1)
+    parts = [
+        (np.einsum("kcp,kcq->pq", j, j), np.einsum("kcp,kc->p", j, r))
+        for j, r in zip(
+            np.array_split(slope, blocks), np.array_split(residual, blocks), strict=True
+        )
+    ]
+    whole = np.sum([square for square, _ in parts], axis=0)
+    try:
+        changes = np.array([np.linalg.solve(whole - square, score) for square, score in parts])
+    except np.linalg.LinAlgError:
+        raise InputError(
+            "--fit: the recording does not tell these parameters apart (fit fewer, or a recording "
+            "with more manoeuvres)"
+        ) from None
+    result: Array = changes.T @ changes * (blocks - 1) / blocks
     return result
 
 
@@ -210,6 +222,7 @@ class _Flights:
         names: P, the parameters that were asked for, then NUISANCE.
         first: (P,) their values before the fit.
         steps: sets of flights up to now, each with all derivatives.
+        variation: (C,) standard deviations of the recorded columns.
     """
 
     def __init__(
@@ -231,6 +244,7 @@ class _Flights:
         self._kept = commands.time_s >= commands.time_s[0] + skip_s
         recorded = [commands.recorded[name] for name in self.columns]
         self._recorded = np.stack(recorded, axis=-1)[self._kept]
+        self.variation = np.maximum(self._recorded.std(axis=0), _LEAST_SIGMA)
         self._latency = setup.timing.command_latency
         begin = {LATENCY: self._latency, "start_airspeed": setup.start(commands).airspeed}
         begin |= {"pitch_offset": 0.0, "airspeed_offset": 0.0}
