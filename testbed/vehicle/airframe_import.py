@@ -1,9 +1,11 @@
 """Copy a JSBSim aircraft with all files that it names into a folder of its own.
 
 JSBSim keeps engines and systems that several aircraft share beside the folder `aircraft`; an
-aircraft of the testbed has all its files in its own folder. Elements that the testbed never
-reads are cut out: `<output>` and `<input>` of the whole aircraft, and `<!DOCTYPE>`. All other bytes
-are kept, and a cut leaves its line breaks, so that lines have the numbers of the original.
+aircraft of the testbed has all its files in its own folder. What has no effect on a flight of the
+testbed, or none that it allows, is cut out: `<output>` and `<input>` of the whole aircraft,
+`<!DOCTYPE>`, attributes that JSBSim does not read, and outputs to JSBSim's own properties, by which
+aircraft stop the flight after a crash. All other bytes are kept, and a cut leaves its line breaks,
+so that lines have the numbers of the original.
 """
 
 from __future__ import annotations
@@ -17,7 +19,14 @@ from xml.parsers import expat
 from xml.sax.saxutils import escape
 
 from testbed.core.input_files import read_bounded
-from testbed.vehicle.airframe_grammar import GRAMMAR, MAIN
+from testbed.vehicle.airframe_grammar import (
+    GRAMMAR,
+    MAIN,
+    Element,
+    Text,
+    property_problem,
+    row_of,
+)
 from testbed.vehicle.airframe_power import FileLine
 from testbed.vehicle.airframe_validation import MAX_BYTES, MAX_FILES
 from testbed.vehicle.powerplant import AircraftError
@@ -28,6 +37,7 @@ _DOCTYPE = b"<!DOCTYPE"
 _DECLARED = "declared"  # name of the <system> with properties that are missing
 _PLAIN_NAME = re.compile(r"(?!\.)[\w .,()+-]+(/(?!\.)[\w .,()+-]+)*", re.ASCII)
 _FOLDER_NAME = re.compile(r"[A-Za-z0-9][\w.+-]*", re.ASCII)
+_PROPERTY = re.compile(r"[\w./\[\]-]+", re.ASCII)
 _MISSING = re.compile(r"The property (\S+) does not exist")
 # Where files of an element are looked for beside the aircraft's own folder, and where they go.
 _FOLDERS = {
@@ -42,10 +52,10 @@ _SHARED = {"Engines": "engine", "Systems": "systems"}  # beside the folder `airc
 
 
 class Cut(NamedTuple):
-    """An element that was cut out.
+    """An element or an attribute that was cut out.
 
     Attributes:
-        place: where it began.
+        place: where it was.
         element: as it is written, "<output>".
     """
 
@@ -232,6 +242,10 @@ class _Scan:
         self.problems: list[str] = []
         self._spans: list[tuple[int, int]] = []
         self._depth = 0
+        self._rows: list[Element | None] = []  # of the open elements; None: not known
+        self._text: list[str] = []  # since the last tag
+        self._tag: tuple[int, list[str]] | None = None  # first byte, attributes to cut
+        self._output = 0  # first byte of the last element whose text is written to
         self._begun: tuple[int, int] | None = None  # first byte and depth of what is cut
         self._parser = parser = expat.ParserCreate()
         parser.StartElementHandler = self._begin
@@ -257,7 +271,11 @@ class _Scan:
         return FileLine(self.file, self._parser.CurrentLineNumber)
 
     def _begin(self, name: str, attributes: Mapping[str, str]) -> None:
+        self._close_tag()
         self._depth += 1
+        parent = self._rows[-1] if self._rows else None
+        row = GRAMMAR.get(name) if self._depth == 1 else parent and row_of(parent, name)
+        self._rows.append(row)
         if self._begun is not None:
             return
         place = self._place()
@@ -271,8 +289,32 @@ class _Scan:
             self.cuts.append(Cut(place, f"<{name}>"))
         elif "file" in attributes and name in GRAMMAR and GRAMMAR[name].folders:
             self.uses.append(_NamedFile(place, name, attributes["file"]))
+        if row is not None and row.text is not Text.PROSE:
+            self._text, self._output = [], self._parser.CurrentByteIndex
+            unknown = [each for each in attributes if not self._is_known(row, each)]
+            self._tag = self._parser.CurrentByteIndex, unknown
+            self.cuts += [Cut(place, f'{each}="…" of <{name}>') for each in unknown]
+
+    def _is_known(self, row: Element, attribute: str) -> bool:
+        """Return whether JSBSim reads an attribute of an element."""
+        if attribute in (*row.attributes.split(), "name", "unit"):
+            return True
+        return attribute == "file" or (self._depth == 1 and attribute.startswith(("xmlns", "xsi:")))
+
+    def _close_tag(self) -> None:
+        """Cut attributes of the last tag, which ends before this event."""
+        if self._tag is None:
+            return
+        (begin, unknown), self._tag = self._tag, None
+        tag = self.data[begin : self._parser.CurrentByteIndex]
+        for each in unknown:
+            written = rb"\s+%b\s*=\s*(\"[^\"]*\"|'[^']*')" % re.escape(each.encode())
+            if found := re.search(written, tag):
+                self._spans.append((begin + found.start(), begin + found.end()))
 
     def _end(self, name: str) -> None:
+        self._close_tag()
+        row = self._rows.pop()
         if self._begun is not None and self._begun[1] == self._depth:
             # of <output/> the byte behind it, which may be the end tag of the aircraft
             end = self._parser.CurrentByteIndex
@@ -280,7 +322,20 @@ class _Scan:
                 end = self.data.index(b">", end) + 1
             self._spans.append((self._begun[0], end))
             self._begun = None
+        elif self._begun is None and row is not None and name == "output":
+            self._check_output(row)
         self._depth -= 1
+
+    def _check_output(self, row: Element) -> None:
+        """Cut an output to a property that the testbed sets, as to stop a flight after a crash."""
+        text = "".join(self._text).strip()
+        if row.text is Text.WRITES and _PROPERTY.fullmatch(text) and property_problem(text):
+            begin = self._output
+            end = self.data.index(b">", self._parser.CurrentByteIndex) + 1
+            self._spans = [span for span in self._spans if span[0] < begin]
+            self._spans.append((begin, end))
+            line = self._parser.CurrentLineNumber
+            self.cuts.append(Cut(FileLine(self.file, line), f"<output>{text}</output>"))
 
     def _doctype(self, *_: Any) -> None:  # noqa: ANN401 - expat's
         self.cuts.append(Cut(self._place(), "<!DOCTYPE>"))
@@ -292,6 +347,8 @@ class _Scan:
         self._spans[-1] = begin, self._parser.CurrentByteIndex + 1
 
     def _other(self, text: str) -> None:
+        self._close_tag()
+        self._text.append(text)
         if text.startswith("&"):
             self.problems.append(
                 f"{self._place()}: uses the entity {text[:40]} (write its text in its place)"
