@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 from xml.parsers import expat
 from xml.sax.saxutils import escape
 
+from testbed.core.files import write_file
 from testbed.core.input_files import read_bounded
 from testbed.vehicle.airframe_grammar import (
     GRAMMAR,
@@ -151,7 +152,7 @@ def copy_aircraft(source: Path, folder: Path, shared: Path) -> CopiedAircraft:
         raise AircraftError("\n".join(dict.fromkeys(problems)))
     for copy, content in contents.items():
         copy.parent.mkdir(parents=True, exist_ok=True)
-        copy.write_bytes(content)
+        _write(copy, content)
     return copied
 
 
@@ -188,10 +189,15 @@ def declare(copied: CopiedAircraft, name: str) -> None:
     """Add a property with the value 0 to the aircraft, in the line of its first section."""
     before = _declaration(copied.declared)
     copied.declared.append(name)
-    data = copied.main.read_bytes()
+    data = read_bounded(copied.main, error=AircraftError, limit=MAX_BYTES)
     at = data.index(before) if before else _first_section(copied.main, data)
     after = data[at + len(before) :]
-    copied.main.write_bytes(data[:at] + _declaration(copied.declared) + after)
+    _write(copied.main, data[:at] + _declaration(copied.declared) + after)
+
+
+def _write(file: Path, content: bytes) -> None:
+    with write_file(file) as stream:
+        stream.write(content)
 
 
 def _declaration(names: list[str]) -> bytes:
