@@ -199,7 +199,8 @@ class AirData(NamedTuple):
 
     alpha: Annotated[Array, Logged("alpha_rad")]  # (N,) angle of attack, rad
     beta: Annotated[Array, Logged("beta_rad")]  # (N,) sideslip, rad
-    propeller_rps: Annotated[Array, Logged("propeller_rps")]  # (N,) revolutions per second
+    # (N,) revolutions per second of the first propeller; NaN without one
+    propeller_rps: Annotated[Array, Logged("propeller_rps")]
     wind_ned: Annotated[Vectors, logged_ned("wind", "mps")]  # (N, 3) m/s, velocity of the air
     # (N, 3) rad/s, rotation of the air about body axes
     wind_gradient_rates: Annotated[Vectors, _WIND_GRADIENT]

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from testbed.autopilot.parameters import FbwaParams
+from testbed.core.files import write_text_file
 from testbed.scenario.yaml_io import write
 from testbed.trials.check_flight import CheckFlight
 from testbed.trials.new_aircraft import ALTITUDE, DerivedAircraft
@@ -37,7 +38,8 @@ def write_aircraft_files(copied: CopiedAircraft, found: DerivedAircraft) -> None
         "SOURCE.md": _source_text(copied, found),
     }
     for name, text in texts.items():
-        (folder / name).write_text(text, encoding="utf-8")
+        with write_text_file(folder / name) as file:
+            file.write(text)
 
 
 def _param_text(params: FbwaParams) -> str:

@@ -1,9 +1,11 @@
 """Copy a JSBSim aircraft with all files that it names into a folder of its own.
 
 JSBSim keeps engines and systems that several aircraft share beside the folder `aircraft`; an
-aircraft of the testbed has all its files in its own folder. Elements that the testbed never
-reads are cut out: `<output>` and `<input>` of the whole aircraft, and `<!DOCTYPE>`. All other bytes
-are kept, and a cut leaves its line breaks, so that lines have the numbers of the original.
+aircraft of the testbed has all its files in its own folder. What has no effect on a flight of the
+testbed, or none that it allows, is cut out: `<output>` and `<input>` of the whole aircraft,
+`<!DOCTYPE>`, attributes that JSBSim does not read, and outputs to JSBSim's own properties, by which
+aircraft stop the flight after a crash. All other bytes are kept, and a cut leaves its line breaks,
+so that lines have the numbers of the original.
 """
 
 from __future__ import annotations
@@ -12,19 +14,17 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 from xml.parsers import expat
 from xml.sax.saxutils import escape
 
+from testbed.core.files import write_file
 from testbed.core.input_files import read_bounded
-from testbed.vehicle.airframe_grammar import GRAMMAR, MAIN
-from testbed.vehicle.airframe_power import FileLine
+from testbed.vehicle.airframe_scan import Cut, FileScan, NamedFile
 from testbed.vehicle.airframe_validation import MAX_BYTES, MAX_FILES
 from testbed.vehicle.powerplant import AircraftError
 
 MAX_DECLARED = 40  # properties that other programs give an aircraft
-_CUT = ("output", "input")
-_DOCTYPE = b"<!DOCTYPE"
 _DECLARED = "declared"  # name of the <system> with properties that are missing
 _PLAIN_NAME = re.compile(r"(?!\.)[\w .,()+-]+(/(?!\.)[\w .,()+-]+)*", re.ASCII)
 _FOLDER_NAME = re.compile(r"[A-Za-z0-9][\w.+-]*", re.ASCII)
@@ -39,18 +39,6 @@ _SPELLINGS = {
     "Systems": ("Systems", "systems"),
 }
 _SHARED = {"Engines": "engine", "Systems": "systems"}  # beside the folder `aircraft`
-
-
-class Cut(NamedTuple):
-    """An element that was cut out.
-
-    Attributes:
-        place: where it began.
-        element: as it is written, "<output>".
-    """
-
-    place: FileLine
-    element: str
 
 
 @dataclass(slots=True)
@@ -118,7 +106,7 @@ def copy_aircraft(source: Path, folder: Path, shared: Path) -> CopiedAircraft:
         if copy in contents:
             continue
         try:
-            scan = _Scan(original, is_main=copy == copied.main)
+            scan = FileScan(original, is_main=copy == copied.main)
         except AircraftError as error:
             problems.append(str(error))
             contents[copy] = b""
@@ -141,7 +129,7 @@ def copy_aircraft(source: Path, folder: Path, shared: Path) -> CopiedAircraft:
         raise AircraftError("\n".join(dict.fromkeys(problems)))
     for copy, content in contents.items():
         copy.parent.mkdir(parents=True, exist_ok=True)
-        copy.write_bytes(content)
+        _write(copy, content)
     return copied
 
 
@@ -178,10 +166,15 @@ def declare(copied: CopiedAircraft, name: str) -> None:
     """Add a property with the value 0 to the aircraft, in the line of its first section."""
     before = _declaration(copied.declared)
     copied.declared.append(name)
-    data = copied.main.read_bytes()
+    data = read_bounded(copied.main, error=AircraftError, limit=MAX_BYTES)
     at = data.index(before) if before else _first_section(copied.main, data)
     after = data[at + len(before) :]
-    copied.main.write_bytes(data[:at] + _declaration(copied.declared) + after)
+    _write(copied.main, data[:at] + _declaration(copied.declared) + after)
+
+
+def _write(file: Path, content: bytes) -> None:
+    with write_file(file) as stream:
+        stream.write(content)
 
 
 def _declaration(names: list[str]) -> bytes:
@@ -208,106 +201,6 @@ def _first_section(file: Path, data: bytes) -> int:
     return found[0]
 
 
-class _NamedFile(NamedTuple):
-    """A file that an element names."""
-
-    place: FileLine
-    element: str
-    name: str
-
-
-class _Scan:
-    """What must be known of a file to copy it: files that it names, and what is cut out."""
-
-    def __init__(self, file: Path, *, is_main: bool) -> None:
-        """Read one file.
-
-        Raises:
-            AircraftError: it cannot be read, or is not XML; with file and line.
-        """
-        self.file, self._is_main = file, is_main
-        self.data = read_bounded(file, MAX_BYTES, error=AircraftError)
-        self.uses: list[_NamedFile] = []
-        self.cuts: list[Cut] = []
-        self.problems: list[str] = []
-        self._spans: list[tuple[int, int]] = []
-        self._depth = 0
-        self._begun: tuple[int, int] | None = None  # first byte and depth of what is cut
-        self._parser = parser = expat.ParserCreate()
-        parser.StartElementHandler = self._begin
-        parser.EndElementHandler = self._end
-        parser.StartDoctypeDeclHandler = self._doctype
-        parser.EndDoctypeDeclHandler = self._end_doctype
-        parser.DefaultHandler = self._other  # with which entities are not expanded
-        if b"\0" in self.data:
-            raise AircraftError(f"{file}:1: is not UTF-8 or ASCII (save the file as UTF-8)")
-        _parse(parser, self.data, file)
-        if self._spans and not self.problems:  # an attribute may use an entity
-            _parse(expat.ParserCreate(), self.remaining(), file)
-
-    def remaining(self) -> bytes:
-        """Return the file without what is cut out, whose line breaks stay."""
-        parts, last = [], 0
-        for begin, end in self._spans:
-            parts += [self.data[last:begin], b"\n" * self.data.count(b"\n", begin, end)]
-            last = end
-        return b"".join((*parts, self.data[last:]))
-
-    def _place(self) -> FileLine:
-        return FileLine(self.file, self._parser.CurrentLineNumber)
-
-    def _begin(self, name: str, attributes: Mapping[str, str]) -> None:
-        self._depth += 1
-        if self._begun is not None:
-            return
-        place = self._place()
-        if self._depth == 1 and self._is_main and name != MAIN:
-            self.problems.append(
-                f"{place}: begins with <{name[:40]}>, and a JSBSim aircraft with <{MAIN}> "
-                "(give the file of an aircraft)"
-            )
-        if self._is_main and self._depth == 2 and name in _CUT:
-            self._begun = self._parser.CurrentByteIndex, self._depth
-            self.cuts.append(Cut(place, f"<{name}>"))
-        elif "file" in attributes and name in GRAMMAR and GRAMMAR[name].folders:
-            self.uses.append(_NamedFile(place, name, attributes["file"]))
-
-    def _end(self, name: str) -> None:
-        if self._begun is not None and self._begun[1] == self._depth:
-            # of <output/> the byte behind it, which may be the end tag of the aircraft
-            end = self._parser.CurrentByteIndex
-            if self.data.startswith(f"</{name}".encode(), end):
-                end = self.data.index(b">", end) + 1
-            self._spans.append((self._begun[0], end))
-            self._begun = None
-        self._depth -= 1
-
-    def _doctype(self, *_: Any) -> None:  # noqa: ANN401 - expat's
-        self.cuts.append(Cut(self._place(), "<!DOCTYPE>"))
-        begin = self.data.rindex(_DOCTYPE, 0, self._parser.CurrentByteIndex)
-        self._spans.append((begin, begin))
-
-    def _end_doctype(self) -> None:
-        begin, _ = self._spans[-1]
-        self._spans[-1] = begin, self._parser.CurrentByteIndex + 1
-
-    def _other(self, text: str) -> None:
-        if text.startswith("&"):
-            self.problems.append(
-                f"{self._place()}: uses the entity {text[:40]} (write its text in its place)"
-            )
-
-
-def _parse(parser: Any, data: bytes, file: Path) -> None:  # noqa: ANN401 - expat's
-    try:
-        parser.Parse(data, True)
-    except expat.ExpatError as error:
-        text = expat.ErrorString(error.code)
-        raise AircraftError(f"{FileLine(file, error.lineno)}: is not XML: {text}") from None
-    except (ValueError, LookupError) as error:
-        raise AircraftError(f"{file}:1: is not XML in a known encoding: {error}") from None
-
-
 class _Search:
     """Where the files of an aircraft may lie."""
 
@@ -316,7 +209,7 @@ class _Search:
         self._own = own
         self._trees = tuple(dict.fromkeys((own.parent.parent, shared.resolve())))
 
-    def find(self, use: _NamedFile) -> tuple[Path, Path]:
+    def find(self, use: NamedFile) -> tuple[Path, Path]:
         """Return the file that an element names, and its path in the new folder.
 
         Raises:

@@ -191,8 +191,14 @@ class Powerplant:
             )
 
     def discharge(self, state_of_charge: float) -> None:
-        """Discharge the battery, which there is, to a state of charge; never charge it."""
+        """Discharge the battery in flight to a state of charge; never charge it.
+
+        Raises:
+            AircraftError: the aircraft has no battery.
+        """
         initial = self._find("battery/initial-state-of-charge")
+        if initial is None:
+            raise AircraftError(f"{self._name}: has no battery that could be discharged")
         more = state_of_charge - self._find("battery/state-of-charge").get_double_value()
         initial.set_double_value(initial.get_double_value() + min(more, 0.0))
 

@@ -101,7 +101,7 @@ def test_two_new_aircraft_hold_their_slots(cessna):
 @pytest.mark.parametrize(
     ("name", "reason"),
     [
-        ("ball", "is not carried by a wing"),
+        ("ball", "that is no aeroplane"),
         ("J246", "has a rocket engine"),
         ("ah1s", "has a rotor"),
         ("C130", "a turbine on a propeller"),

@@ -84,9 +84,29 @@ def test_cuts_leave_all_other_bytes_and_lines(tree):
     assert (copied.main.parent / "Systems" / "gear.xml").read_bytes() == b"\n\n\n<system/>"
 
 
+def test_unread_attributes_and_outputs_are_cut(tree):
+    root, write = tree
+    gear = (
+        b'<system name="a">\n<channel><switch name="b" unit="c">\n<test  Logic="AND"\n login=\'1\' '
+        b'value="login=">x</test><output>\n simulation/integrator/rate/rotational </output>'
+        b"<output>systems/own</output></switch></channel></system>"
+    )
+    write("aircraft/kite/Systems/gear.xml", gear)
+    copied = copy(root)
+    assert (copied.main.parent / "Systems" / "gear.xml").read_bytes() == (
+        b'<system name="a">\n<channel><switch name="b" unit="c">\n<test\n '
+        b'value="login=">x</test>\n<output>systems/own</output></switch></channel></system>'
+    )
+    assert [each.element for each in copied.cuts if each.place.file.name == "gear.xml"] == [
+        'Logic="…" of <test>',
+        'login="…" of <test>',
+        "<output>simulation/integrator/rate/rotational</output>",
+    ]
+
+
 def test_file_without_cuts_is_equal(tree):
     root, write = tree
-    odd = b"\xef\xbb\xbf<metrics  a='\xc3\xa9'\r\n>\r\n<!-- <output/> --></metrics >"
+    odd = b"\xef\xbb\xbf<metrics  name='\xc3\xa9'\r\n>\r\n<!-- <output/> --></metrics >"
     write("aircraft/kite/Sizes.xml", odd)
     assert (copy(root).main.parent / "Sizes.xml").read_bytes() == odd
 

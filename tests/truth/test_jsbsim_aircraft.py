@@ -1,19 +1,28 @@
 """Pistons, turboprops, jets and gliders of the installed JSBSim: started, trimmed, linearised."""
 
 import math
+import shutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from aircraft_copies import changed, of_jsbsim
 
+import testbed
+from testbed.core.errors import InputError
 from testbed.core.frames import FOOT, GRAVITY
 from testbed.core.records import ActuatorCommand, NedOrigin
 from testbed.scenario import library
 from testbed.vehicle import powerplant
 from testbed.vehicle.compiled_fleet import find_engine
 from testbed.vehicle.fleet import JsbsimFleet, place_model
-from testbed.vehicle.jsbsim_adapter import airframe, find_cruise, linearize_aircraft, trim_aircraft
+from testbed.vehicle.jsbsim_adapter import (
+    airframe,
+    airframe_warnings,
+    find_cruise,
+    linearize_aircraft,
+    trim_aircraft,
+)
 from testbed.vehicle.linearize import STATES, find_modes
 from testbed.vehicle.powerplant import AircraftError
 from testbed.vehicle.trim import InitialState, TrimError, TrimPoint
@@ -119,6 +128,26 @@ def test_fuel_burn_needs_fuel(folders, tmp_path):
     )
     with pytest.raises(AircraftError, match="its tanks are empty"):
         placed(empty, fuel_burn=True)
+
+
+def test_flight_is_reset_and_not_saved(tmp_path):
+    """By an error that names what only JSBSim flies; a reset begins the same flight again."""
+    folder = of_jsbsim("c172p", tmp_path)
+    for file in ("autopilot.param", "middle_loop.yaml"):
+        shutil.copy(library() / "aircraft" / "rascal110" / file, folder)
+    aircraft = testbed.Aircraft(str(folder), airspeed_mps=55.0, altitude_m=1000.0)
+    speeds = [[aircraft.step(0.02, 0.1, 0.7).airspeed for _ in range(20)]]
+    with pytest.raises(InputError, match="cannot be saved; .*<piston_engine> is not translated"):
+        aircraft.simulation.save()
+    aircraft.reset()
+    speeds.append([aircraft.step(0.02, 0.1, 0.7).airspeed for _ in range(20)])
+    assert speeds[0] == speeds[1]
+
+
+def test_glider_is_said_before_the_flight(folders):
+    (text,) = airframe_warnings(folders["SGS"])
+    assert text.startswith("SGS has no engine: its throttle has no effect")
+    assert airframe_warnings(folders["c172p"]) == ()
 
 
 def test_what_has_no_wing_is_named(tmp_path):
