@@ -80,9 +80,9 @@ def derive(
     params = first_params(steps, level)
     check = check_and_soften(folder, point, params, flights.append)
     if check.problem:
+        tried = f", with gains softened {check.softenings} times" if check.softenings else ""
         raise InputError(
-            f"{folder.name}: trims at {cruise.point.airspeed:.4g} m/s, but {check.problem}, with "
-            f"gains softened {check.softenings} times"
+            f"{folder.name}: trims at {cruise.point.airspeed:.4g} m/s, but {check.problem}{tried}"
         )
     middle_loop = first_middle_loop(steps, level, check.params)
     speed = None
