@@ -134,7 +134,7 @@ def _draw(path: Path, found: DerivedAircraft) -> None:
     eas2tas = steps.airspeed / steps.equivalent_airspeed
     speeds = np.array([each.point.airspeed for each in trims])
     data = EnvelopeFigureData(
-        title=f"Level flight of {path.parent.name}",
+        title=f"{'Glide' if found.envelope.glides else 'Level flight'} of {path.parent.name}",
         subtitle=f"{level.lowest:.1f} to {level.highest:.1f} m/s; line: cruise, {level.airspeed:g} "
         "m/s; shaded: speeds of the autopilot",
         airspeed=speeds,
@@ -150,7 +150,7 @@ def _draw(path: Path, found: DerivedAircraft) -> None:
 
 def _sink(trim: TrimResult) -> float:
     """Return the rate of descent of a trim, m/s."""
-    return -trim.point.airspeed * math.sin(trim.point.flight_path_angle)
+    return -trim.point.airspeed * math.sin(trim.flight_path_angle)
 
 
 def _changes(copied: CopiedAircraft) -> list[str]:

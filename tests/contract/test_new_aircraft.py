@@ -148,6 +148,15 @@ def test_speed_without_level_flight_is_refused(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_glider_descends_at_each_speed(tmp_path):
+    done = new_aircraft(tmp_path, "SGS", "--json", "-")
+    document = json.loads(done.stdout)
+    assert len(document["trims"]) >= 3 and document["speed_pole_per_s"] is None
+    assert all(-3.0 < each["climb_mps"] < -0.5 for each in document["trims"])
+    assert document["flights"][-1]["problem"] == ""
+    assert " glide " in done.stderr and "sink" in done.stderr
+
+
 RASCAL, CRUISE = find_aircraft("rascal110"), TrimPoint(22.0, altitude=400.0)
 
 
