@@ -25,6 +25,7 @@ from testbed.vehicle.jsbsim_adapter import SHARED_FILES
 
 LONGEST_S = 300.0
 _TRIMS = ": trims at "
+_TIMES = {1: "once", 2: "twice"}
 
 
 def aircraft_files() -> list[Path]:
@@ -84,8 +85,10 @@ def row(found: dict[str, Any]) -> str:
         text = lines[0].replace("|", "/")
         return f"| {found['name']} | {result} | | | | {text}{more} |"
     last, level = found["flights"][-1], found["level_flight"]
-    softened = f"gains softened {last['softenings']} times" if last["softenings"] else ""
-    declared = f"{len(found['declared'])} properties declared" if found["declared"] else ""
+    count = last["softenings"]
+    softened = f"gains softened {_TIMES.get(count, f'{count} times')}" if count else ""
+    names = len(found["declared"])
+    declared = f"{names} propert{'y' if names == 1 else 'ies'} declared" if names else ""
     cells = (
         found["name"],
         "flies",

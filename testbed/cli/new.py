@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.text import Text
 
-from testbed.cli.options import JsonFile, positive_option
+from testbed.cli.options import JsonFile, require_finite
 from testbed.cli.output import (
     MISSING,
     message_console,
@@ -17,6 +17,7 @@ from testbed.cli.output import (
     ruled_table,
     write_json_output,
 )
+from testbed.core.errors import InputError
 from testbed.core.files import new_folder, report_write_errors
 
 if TYPE_CHECKING:
@@ -27,6 +28,20 @@ if TYPE_CHECKING:
     from testbed.vehicle.trim import TrimResult
 
 PICTURE = "envelope.png"
+SPEEDS = (1.0, 340.0)  # m/s, as of a scenario
+
+
+def _check_speed(parameter: typer.CallbackParam, speed: float | None) -> float | None:
+    """Check --speed; a typer callback.
+
+    Raises:
+        InputError: it is out of range.
+    """
+    require_finite(parameter, speed)
+    low, high = SPEEDS
+    if speed is not None and not low <= speed <= high:
+        raise InputError(f"{parameter.opts[0]} {speed:g}: write {low:g} to {high:g} (m/s)")
+    return speed
 
 
 def new_command() -> None:
@@ -40,10 +55,11 @@ def new_aircraft_command(
     ],
     speed: Annotated[
         float | None,
-        positive_option(
-            "M/S",
-            "True airspeed of cruise, for which all gains are derived.  "
+        typer.Option(
+            metavar="M/S",
+            help="True airspeed of cruise, for which all gains are derived.  "
             "\\[default: that of a lift coefficient of 0.4, or near it]",
+            callback=_check_speed,
         ),
     ] = None,
     into: Annotated[
@@ -67,7 +83,6 @@ def new_aircraft_command(
 
     An aircraft that cannot be flown is refused with the reason, and nothing is written.
     """
-    from testbed.core.errors import InputError
     from testbed.trials.aircraft_files import write_aircraft_files
     from testbed.trials.new_aircraft import derive
     from testbed.vehicle.airframe_import import (
@@ -119,7 +134,7 @@ def _draw(path: Path, found: DerivedAircraft) -> None:
     eas2tas = steps.airspeed / steps.equivalent_airspeed
     speeds = np.array([each.point.airspeed for each in trims])
     data = EnvelopeFigureData(
-        title=f"Level flight of {path.parent.name}",
+        title=f"{'Glide' if found.envelope.glides else 'Level flight'} of {path.parent.name}",
         subtitle=f"{level.lowest:.1f} to {level.highest:.1f} m/s; line: cruise, {level.airspeed:g} "
         "m/s; shaded: speeds of the autopilot",
         airspeed=speeds,
@@ -135,7 +150,7 @@ def _draw(path: Path, found: DerivedAircraft) -> None:
 
 def _sink(trim: TrimResult) -> float:
     """Return the rate of descent of a trim, m/s."""
-    return -trim.point.airspeed * math.sin(trim.point.flight_path_angle)
+    return -trim.point.airspeed * math.sin(trim.flight_path_angle)
 
 
 def _changes(copied: CopiedAircraft) -> list[str]:

@@ -12,16 +12,11 @@ from pathlib import Path
 
 from testbed.core.records import NedOrigin
 from testbed.vehicle.jsbsim_adapter import airframe, trim_aircraft
-from testbed.vehicle.trim import TrimError, TrimPoint, TrimResult
+from testbed.vehicle.trim import TrimError, TrimResult
 
 _GROWTH = 1.2  # from one speed to the next
 _LEAST, _MOST = 0.3, 3.0  # of the cruise: the search ends there
 _HALVINGS = 3  # of a step: 2 %
-
-
-def requested(trim: TrimResult) -> TrimPoint:
-    """Return the point that a trim of straight flight was asked for: level, also of a glider."""
-    return replace(trim.point, flight_path_angle=0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +58,7 @@ def find_envelope(
     found = [cruise]
 
     def flies(airspeed: float) -> bool:
-        point = replace(requested(cruise), airspeed=airspeed)
+        point = replace(cruise.point, airspeed=airspeed)
         try:
             result = trim_aircraft(folder, point, origin)
         except TrimError:

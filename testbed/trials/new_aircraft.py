@@ -15,7 +15,7 @@ from testbed.core.errors import InputError
 from testbed.core.records import NedOrigin
 from testbed.scenario import MiddleLoopGains
 from testbed.trials.check_flight import CheckFlight, check_and_soften
-from testbed.trials.envelope import Envelope, find_envelope, requested
+from testbed.trials.envelope import Envelope, find_envelope
 from testbed.trials.first_gains import (
     LevelFlight,
     first_guidance,
@@ -69,7 +69,7 @@ def derive(
     report("trim")
     cruise = _find_cruise(folder, airspeed)
     report(f"speed range, from {cruise.point.airspeed:.4g} m/s")
-    point = requested(cruise)
+    point = cruise.point
     _, origin = start_of(point)
     envelope = find_envelope(folder, cruise, origin)
     level = _level_flight(folder, envelope, origin)
@@ -80,9 +80,9 @@ def derive(
     params = first_params(steps, level)
     check = check_and_soften(folder, point, params, flights.append)
     if check.problem:
+        tried = f", with gains softened {check.softenings} times" if check.softenings else ""
         raise InputError(
-            f"{folder.name}: trims at {cruise.point.airspeed:.4g} m/s, but {check.problem}, with "
-            f"gains softened {check.softenings} times"
+            f"{folder.name}: trims at {cruise.point.airspeed:.4g} m/s, but {check.problem}{tried}"
         )
     middle_loop = first_middle_loop(steps, level, check.params)
     speed = None
@@ -126,7 +126,7 @@ def _level_flight(folder: Path, envelope: Envelope, origin: NedOrigin) -> LevelF
         except TrimError:
             return None
 
-    point = requested(cruise)
+    point = cruise.point
     slow, fast = (beside(replace(point, airspeed=speed + each)) for each in (-change, change))
     banked = beside(replace(point, bank=_BANK))
     climbing = None if envelope.glides else beside(replace(point, flight_path_angle=_CLIMB))

@@ -245,7 +245,7 @@ def _trim_aircraft(folder: Path, point: TrimPoint, origin: NedOrigin) -> TrimRes
         try:
             return trim(model, point)
         except TrimError:
-            if not (slope := lift_slope(model)) > _SMALLEST_SLOPE:
+            if (slope := lift_slope(model)) <= _SMALLEST_SLOPE:  # not where it is NaN
                 raise TrimError(
                     f"its lift coefficient grows by {slope:.2g} per radian of angle of attack near "
                     "0: that is no aeroplane's, and the testbed flies aeroplanes"

@@ -124,10 +124,37 @@ def test_existing_folder_is_refused(tmp_path):
     assert [each.name for each in tmp_path.iterdir()] == ["c172p"]
 
 
+@pytest.mark.parametrize(
+    ("arguments", "error"),
+    [
+        (("nothing.xml",), "nothing.xml: cannot be read"),
+        ((".",), "the name '': an aircraft has letters"),
+        (("/dev/zero",), "it is a device"),
+        (("x.xml", "--into", "nowhere/kite"), "--into nowhere/kite: there is no folder"),
+        (("x.xml", "--speed", "nan"), "--speed nan: write a finite number"),
+        (("x.xml", "--speed", "0"), "--speed 0: write 1 to 340 (m/s)"),
+        (("x.xml", "--speed", "1e300"), "--speed 1e+300: write 1 to 340 (m/s)"),
+    ],
+)
+def test_wrong_arguments_are_refused(tmp_path, arguments, error):
+    done = call_command("new", "aircraft", *arguments, cwd=tmp_path, code=2, columns=100)
+    assert error in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_speed_without_level_flight_is_refused(tmp_path):
     done = new_aircraft(tmp_path, "c172p", "--speed", "90", code=2)
     assert "trim at 90 m/s" in done.stderr and "remain at throttle 1.00" in done.stderr
     assert list(tmp_path.iterdir()) == []
+
+
+def test_glider_descends_at_each_speed(tmp_path):
+    done = new_aircraft(tmp_path, "SGS", "--json", "-")
+    document = json.loads(done.stdout)
+    assert len(document["trims"]) >= 3 and document["speed_pole_per_s"] is None
+    assert all(-3.0 < each["climb_mps"] < -0.5 for each in document["trims"])
+    assert document["flights"][-1]["problem"] == ""
+    assert " glide " in done.stderr and "sink" in done.stderr
 
 
 RASCAL, CRUISE = find_aircraft("rascal110"), TrimPoint(22.0, altitude=400.0)
