@@ -9,19 +9,22 @@ eigenvalues with those of the product of the maps, which is exact.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
 from testbed.core.records import Array, BoolArray
-from testbed.trials.period_map import COMMANDS, FollowerMap, PeriodMaps
+from testbed.trials.period_map import FollowerMap, PeriodMaps
 
 _NEGLIGIBLE = 1e-9  # elements of matrices
-SLOWEST = 1e-3  # 1/s; slower poles are of what no aircraft returns to, such as the Earth's curvature
+SLOWEST = (
+    1e-3  # 1/s; slower poles are of what no aircraft returns to, such as the Earth's curvature
+)
 MESSAGE_SIZE = 9  # of a follower
-_BISECTIONS = 30
+_BISECTIONS = 16
 
 
 class Mode(NamedTuple):
@@ -120,7 +123,8 @@ class LinearFormation:
         d_leader: (n, 3, 15) to the commands.
         c_error: (n, 3, S).
         c_attitude: (n, 2, S).
-        owners: (S,) rows of the followers, -1 of messages.
+        owners: (S,) rows of the followers, those of the senders of messages.
+        loops: (n,) number of the set of followers that influence each other, through others too.
         labels: (S,).
     """
 
@@ -134,6 +138,7 @@ class LinearFormation:
     c_error: Array
     c_attitude: Array
     owners: Array
+    loops: Array
     labels: tuple[str, ...]
 
     def modes(self) -> list[Mode]:
@@ -169,18 +174,21 @@ class LinearFormation:
 
         Args:
             follower: 0..n-1.
-            command: in COMMANDS.
+            command: row of COMMANDS.
         """
-        b = self.b_command[follower, ..., command]
-        c = self.c_command[follower, command]
+        # only followers that influence each other can destabilise each other
+        own = self.loops[self.owners] == self.loops[follower]
+        a = self.a[np.ix_(own, own)]
+        b = self.b_command[follower][:, own, command]
+        c = self.c_command[follower, command, own]
         whole = b.sum(axis=0)
 
         def with_gain(factor: float) -> bool:
-            return self.is_stable(self.a + (factor - 1.0) * np.outer(whole, c))
+            return self.is_stable(a + (factor - 1.0) * np.outer(whole, c))
 
         gain = _largest(with_gain, 1.0, 10.0)
         least = 1.0 / _largest(lambda by: with_gain(1.0 / by), 1.0, 1000.0)
-        latency = _largest(lambda late: self.is_stable(self._late(b, c, late)), 0.0, 1.0)
+        latency = _largest(lambda late: self.is_stable(self._late(a, b, c, late)), 0.0, 1.0)
         frequency = np.geomspace(0.01, 0.5 / self.dt, 3000)
         loop = self.open_loop(follower, command, frequency)
         return CommandMargins(
@@ -204,13 +212,14 @@ class LinearFormation:
         left = np.linalg.solve(vectors, b)
         return ((c @ vectors) * left / (z[:, np.newaxis] - values)).sum(axis=1)
 
-    def _late(self, b: Array, c: Array, latency_s: float) -> Array:
+    def _late(self, closed: Array, b: Array, c: Array, latency_s: float) -> Array:
         """Return the system with one command late.
 
         As the autopilots take it: in each of their Q periods the command of so many periods before,
         between two of them in proportion.
 
         Args:
+            closed: (S, S) without latency.
             b: (Q, S) of the command in each period of the autopilot.
             c: (S,) the command computed.
             latency_s: additional.
@@ -220,9 +229,9 @@ class LinearFormation:
         whole = math.floor(periods)
         shares = {whole: 1.0 - (periods - whole), whole + 1: periods - whole}
         # control periods before, of the command in part q with a delay of k parts
-        needed = max(0, math.ceil((whole + 1 - 0) / parts))
+        needed = math.ceil((whole + 1) / parts)
         a = np.zeros((size + needed, size + needed))
-        a[:size, :size] = self.a - np.outer(b.sum(axis=0), c)
+        a[:size, :size] = closed - np.outer(b.sum(axis=0), c)
         for q in range(parts):
             for k, share in shares.items():
                 before = math.ceil((k - q) / parts) if k > q else 0
@@ -287,18 +296,28 @@ def join(maps: PeriodMaps) -> LinearFormation:
                 a[to, at - MESSAGE_SIZE : at] = turned
     owners = np.concatenate(
         [np.full(len(each.labels), i) for i, each in enumerate(followers)]
-        + [np.full(size - int(first[-1]), -1)]
+        + [np.full(MESSAGE_SIZE * count, j) for j, count in enumerate(history)]
     )
     labels = [f"{each.name}: {label}" for each in followers for label in each.labels]
     labels += ["message"] * (size - int(first[-1]))
     names = tuple(each.name for each in followers)
     return LinearFormation(
         maps.dt, names, a, b_command, c_command, b_leader, d_leader, c_error, c_attitude, owners,
-        tuple(labels),
+        _loops(followers), tuple(labels),
     )  # fmt: skip
 
 
-def _largest(holds, low: float, high: float) -> float:
+def _loops(followers: list[LinearFollower]) -> Array:
+    """Return for each follower the number of the set of those that influence each other."""
+    n = len(followers)
+    reads = np.zeros((n, n))
+    for i, each in enumerate(followers):
+        reads[i, [j - 1 for j in each.b_message if j]] = 1.0
+    found: Array = connected_components(reads, connection="strong")[1]
+    return found
+
+
+def _largest(holds: Callable[[float], bool], low: float, high: float) -> float:
     """Return the largest value up to which something holds, by bisection; inf: at the highest."""
     if holds(high):
         return math.inf

@@ -21,21 +21,10 @@ import numpy as np
 
 from testbed.core.frames import course
 from testbed.core.records import Array, Records
-from testbed.core.saved_state import SavedState
-from testbed.flight.loop import Flight
-from testbed.flight.schedule import Clock
-from testbed.flight.stages import FlightRecords, UserStage
-from testbed.flight.steps import copy_truth
-from testbed.flight.vehicles import JsbsimVehicles
-from testbed.flight.world import World
-from testbed.formation.slots import write_formation_state
+from testbed.trials.held_flight import LEADER_MESSAGE, MESSAGE, HeldFlight
 from testbed.vehicle.compiled.columns import CONSTANTS, CONTROLS, START, WIND
 from testbed.vehicle.compiled.frame import quaternion_of
-from testbed.vehicle.compiled_fleet import CompiledFleet
 
-MESSAGE = ("position_ned", "velocity_ned", "acceleration_ned")  # of a follower's message, 3 each
-LEADER_MESSAGE = (*MESSAGE, "euler", "euler_rates")
-COMMANDS = ("pitch", "roll", "throttle")
 _STEP = 1e-5  # of the central differences, times the scale of a number
 _SCALES = (  # of numbers whose steps are not 1e-5, by the beginning of their names
     ("position/", 100.0),
@@ -116,84 +105,26 @@ class _Numbers(NamedTuple):
     kind: str  # "scalar", "inertial", "attitude" or "ned"
 
 
-class Injection:
-    """Holds the messages of a period at those of the steady flight, and adds to inputs.
+class PeriodLinearisation:
+    """Flies control periods of a steady flight with small changes."""
 
-    Attributes:
-        messages: (n, N, M) added to the fields of LEADER_MESSAGE, NED.
-        commands: (Q, n, 3) added to the followers' commands in each of the Q periods of the
-            autopilots in a control period.
-        computed: (n, 3) commands before the addition, at the last control step.
-    """
-
-    CONSTANT = True  # no state of the flight
-
-    def __init__(self, n: int, clock: Clock) -> None:
-        """Start without changes."""
-        self.messages = np.zeros((n, n + 1, 3 * len(LEADER_MESSAGE)))
-        self.commands = np.zeros((clock.control // clock.autopilot, n, 3))
-        self._rate_hz = clock.base_rate_hz / clock.autopilot
-        self._control_s = 0.0
-        self.computed = np.zeros((n, 3))
-        self.held: Records | None = None
-
-    def stages(self) -> tuple[UserStage, ...]:
-        """Return the stages of the flight that do it."""
-        return (
-            UserStage("hold messages", "deliver messages", self._hold),
-            UserStage("add to commands", "give commands to autopilots", self._command),
-            UserStage("add to commands", "copy the truth to the estimates", self._add),
-        )
-
-    def _hold(self, now: float, records: FlightRecords) -> None:
-        links = records.links
-        if self.held is None:
-            return
-        for k, name in enumerate(LEADER_MESSAGE):
-            links[name] = self.held[name] + self.messages[:, :, 3 * k : 3 * k + 3]
-
-    def _command(self, now: float, records: FlightRecords) -> None:
-        for k, name in enumerate(COMMANDS):
-            self.computed[:, k] = records.aircraft["control"][name][1:]
-        self._control_s = now
-        self._add(now, records)
-
-    def _add(self, now: float, records: FlightRecords) -> None:
-        period = int((now - self._control_s) * self._rate_hz + 1e-6)
-        if period < len(self.commands):
-            own = records.aircraft[1:]
-            for k, name in enumerate(COMMANDS):
-                own["command"][name] = self.computed[:, k] + self.commands[period, :, k]
-
-
-class SteadyMaps:
-    """A formation in steady flight, of which control periods are flown with small changes."""
-
-    def __init__(self, world: World) -> None:
-        """Begin a flight.
+    def __init__(self, flight: HeldFlight) -> None:
+        """Take a flight that is steady.
 
         Args:
-            world: whose leader is virtual, and whose followers have compiled flight models.
+            flight: whose time is that of a control step.
         """
-        self.world, n = world, len(world.followers)
-        self._injection = Injection(n, world.clock)
-        self.flight = Flight(world, [], self._injection.stages())
-        self.flight.prepare()
-        [self._vehicles] = [each for each in world.vehicles if isinstance(each, JsbsimVehicles)]
-        assert isinstance(world.fleet, CompiledFleet), "of `steady_scenario`"
-        self._fleet = world.fleet
-        self._states = [list(self._numbers_of(i)) for i in range(n)]
-        clock = world.clock
-        self.dt = clock.control / clock.base_rate_hz
-        self._signs: list[Array | None] = [None] * n
+        self._flight, self._world = flight, flight.world
+        self._states = [list(self._numbers_of(i)) for i in range(len(flight.world.followers))]
+        self._signs: list[Array | None] = [None] * len(self._states)
 
     # the state
 
     def _numbers_of(self, i: int) -> Iterator[_Numbers]:
         """Yield the state of a follower."""
-        row = self._vehicles.rows.tolist().index(i + 1)
+        row = self._flight.vehicles.rows.tolist().index(i + 1)
         [(aircraft, state)] = [
-            (kind.aircraft, kind.state) for kind in self._fleet.kinds if row in kind.which
+            (kind.aircraft, kind.state) for kind in self._flight.fleet.kinds if row in kind.which
         ]
         constant = {name for each in (*CONSTANTS, CONTROLS, WIND) for name in each.columns}
         skipped = constant | {"position/epa-rad"}
@@ -208,8 +139,8 @@ class SteadyMaps:
                 yield _Numbers(tuple(names[at : at + width]), state[row, at : at + width], kind)
             at += width
         controls = tuple(f"last {name}" for name in CONTROLS.columns)
-        yield _Numbers(controls, self._fleet.last_controls[row], "scalar")
-        autopilots, formation = self._vehicles.autopilots, self.world.formation
+        yield _Numbers(controls, self._flight.fleet.last_controls[row], "scalar")
+        autopilots, formation = self._flight.vehicles.autopilots, self._world.formation
         yield from _float_fields("autopilot", autopilots.memory, row, skip=("slew",))
         delayed = autopilots.delay_line[row].reshape(-1)
         labels = tuple(f"autopilot/delay-{k}" for k in range(len(delayed)))
@@ -228,19 +159,14 @@ class SteadyMaps:
             each.view[:] += change[at : at + len(each.view)]
             at += len(each.view)
 
-    def _refresh(self) -> None:
-        """Write the motion of the flight models into the records, as at the end of a tick."""
-        self._fleet.write_motion()
-        copy_truth(self.world.aircraft)
-
     def _frames(self) -> tuple[Array, Array]:
         """Return the rotations (3, 3) from NED, and from inertial axes, to the leader's frame."""
-        turn = float(course(self.world.aircraft["truth"]["velocity_ned"][0]))
+        turn = float(course(self._world.aircraft["truth"]["velocity_ned"][0]))
         c, s = math.cos(turn), math.sin(turn)
         from_ned = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-        origin = self.world.info.origin
+        origin = self._world.info.origin
         lat, lon = math.radians(origin.latitude_deg), math.radians(origin.longitude_deg)
-        kind = self._fleet.kinds[0]
+        kind = self._flight.fleet.kinds[0]
         angle = float(kind.state[kind.which[0], START["earth_angle"]])
         sl, cl, so, co = math.sin(lat), math.cos(lat), math.sin(lon + angle), math.cos(lon + angle)
         to_ned = np.array([[-co * sl, -so * sl, cl], [-so, co, 0.0], [-co * cl, -so * cl, -sl]])
@@ -271,22 +197,6 @@ class SteadyMaps:
             at += width
         return basis
 
-    # flying
-
-    @property
-    def time_s(self) -> float:
-        """Time of the tick at which the flight waits, s."""
-        return self.flight.time_s
-
-    def fly_to(self, until_s: float) -> None:
-        """Fly on, without changes."""
-        self._injection.held = None
-        self.flight.fly_to(until_s)
-
-    def banks(self) -> Array:
-        """Return the bank of the followers (n,), rad."""
-        return np.array(self.world.aircraft["truth"]["euler"][1:, 0])
-
     def maps(self, periods: int) -> PeriodMaps:
         """Linearise the next control periods.
 
@@ -302,7 +212,7 @@ class SteadyMaps:
             senders = list(each[0].b_message)
             joined.append(
                 FollowerMap(
-                    self.world.names[i + 1],
+                    self._world.names[i + 1],
                     each[0].labels,
                     *(np.stack([getattr(one, key) for one in each]) for key in _STACKED[:3]),
                     *(
@@ -314,50 +224,45 @@ class SteadyMaps:
                 )
             )
         from_ned, _ = self._frames()
-        self._write_errors()
-        followers = self.world.followers
+        self._flight.write_errors()
+        followers = self._world.followers
         return PeriodMaps(
-            self.dt,
+            self._flight.dt,
             tuple(joined),
-            self.banks(),
+            np.array(self._world.aircraft["truth"]["euler"][1:, 0]),
             followers["error_ned"] @ from_ned.T,
-            np.array(self.world.links["age_s"]),
+            np.array(self._world.links["age_s"]),
             _fraction(from_ned @ before.T, periods),
         )
 
-    def _write_errors(self) -> None:
-        world = self.world
-        slots = world.formation.control.offsets, world.formation.altitudes
-        write_formation_state(world.aircraft, world.followers, *slots)
-
     def _next_period(self) -> list[FollowerMap]:
         """Linearise the next control period, and fly it."""
-        n, injection, world = len(self._states), self._injection, self.world
-        begin = SavedState(flight=self.flight)
-        until = self.time_s + self.dt
+        n, inputs, world = len(self._states), self._flight.inputs, self._world
+        begin = self._flight.save()
+        until = self._flight.time_s + self._flight.dt
         bases = [self._basis(i) for i in range(n)]
         from_ned, _ = self._frames()
-        memory = self._vehicles.autopilots.memory
+        memory = self._flight.vehicles.autopilots.memory
         first = memory["period"].copy()
-        injection.held = None
-        self.flight.fly_to(until)
+        inputs.held = None
+        self._flight.fly_to(until)
         # the links at the end are those of the control step: there is one in a period
-        injection.held = world.links.copy()
+        inputs.held = world.links.copy()
         ends = [self._basis(i) for i in range(n)]
-        end = SavedState(flight=self.flight)
-        every = self._vehicles.autopilots.gains["airspeed_periods"]
+        end = self._flight.save()
+        every = self._flight.vehicles.autopilots.gains["airspeed_periods"]
         updates = (memory["period"] - 1) // every > (first - 1) // every
 
         def probe(change: Callable[[], None]) -> tuple[list[Array], list[Array], Array]:
             """Fly the period with a change: states at its end, outputs at its start, commands."""
             begin.restore()
             change()
-            self._refresh()
-            self._write_errors()
+            self._flight.write_motion()
+            self._flight.write_errors()
             outputs = [self._outputs(i, from_ned) for i in range(n)]
-            self.flight.fly_to(until)
+            self._flight.fly_to(until)
             states = [ends[i] @ self._read(i) for i in range(n)]
-            return states, outputs, injection.computed.copy()
+            return states, outputs, inputs.computed.copy()
 
         def differ(
             change: Callable[[float], None], step: Array
@@ -386,16 +291,16 @@ class SteadyMaps:
             for i, found in enumerate(differ(change, step)):
                 if k < sizes[i]:
                     a[i][:, k], c[i][:, k], c_command[i][:, k] = found
-        parts = len(injection.commands)
+        parts = len(inputs.added)
         b_command = [np.zeros((parts, size, 3)) for size in sizes]
         for part, k in np.ndindex(parts, 3):
 
             def command(sign: float, part: int = part, k: int = k) -> None:
-                injection.commands[part, :, k] = sign * _STEP
+                inputs.added[part, :, k] = sign * _STEP
 
             for i, (state, _, _) in enumerate(differ(command, np.full(n, _STEP))):
                 b_command[i][part, :, k] = state
-            injection.commands[:] = 0.0
+            inputs.added[:] = 0.0
         b_message: list[dict[int, Array]] = [{} for _ in range(n)]
         d_message: list[dict[int, Array]] = [{} for _ in range(n)]
         used = world.formation.built_control.neighbours["used"]
@@ -408,18 +313,18 @@ class SteadyMaps:
 
                 def send(sign: float, j: int = j, k: int = k) -> None:
                     first_of = k - k % 3
-                    injection.messages[:, j, first_of : first_of + 3] = (
+                    inputs.messages[:, j, first_of : first_of + 3] = (
                         sign * 0.01 * from_ned[k % 3] if k < 9 else 0.0
                     )
                     if k >= 9:
-                        injection.messages[:, j, k] = sign * 0.01
+                        inputs.messages[:, j, k] = sign * 0.01
 
                 for i, (state, _, computed) in enumerate(differ(send, np.full(n, 0.01))):
                     if used[i, j]:
                         b_message[i][j][:, k], d_message[i][j][:, k] = state, computed
-                injection.messages[:] = 0.0
+                inputs.messages[:] = 0.0
         end.restore()
-        injection.held = None
+        inputs.end()
         return [
             FollowerMap(
                 world.names[i + 1],
@@ -439,9 +344,9 @@ class SteadyMaps:
 
     def _outputs(self, i: int, from_ned: Array) -> Array:
         """Return message, error and attitude of a follower, in the leader's frame."""
-        own = self.world.aircraft["estimate"][i + 1]
+        own = self._world.aircraft["estimate"][i + 1]
         message = [from_ned @ own[name] for name in MESSAGE]
-        error = from_ned @ self.world.followers["error_ned"][i]
+        error = from_ned @ self._world.followers["error_ned"][i]
         return np.concatenate((*message, error, own["euler"][:2]))
 
     def _scales(self, i: int) -> Array:

@@ -94,9 +94,7 @@ def _leader_speed(scenario: Scenario) -> float | None:
     return getattr(path, "airspeed_mps", None) or getattr(path, "speed_mps", None)
 
 
-def steady_scenario(
-    scenario: Scenario, bank_deg: float, engine: str = "jsbsim"
-) -> Scenario:
+def steady_scenario(scenario: Scenario, bank_deg: float, engine: str = "jsbsim") -> Scenario:
     """Return a scenario's formation behind a virtual leader in level flight.
 
     Args:
