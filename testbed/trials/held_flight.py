@@ -6,6 +6,8 @@ to their commands.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from testbed.core.records import Array, Records
@@ -125,6 +127,7 @@ class HeldFlight:
         self.inputs = Inputs(len(world.followers), world.clock)
         self._flight = Flight(world, [], self.inputs.stages())
         self._flight.prepare()
+        self._flight.fly_to(-math.inf)
         self.dt = world.clock.control / world.clock.base_rate_hz
 
     @property

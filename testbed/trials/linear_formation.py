@@ -20,22 +20,25 @@ from testbed.core.records import Array, BoolArray
 from testbed.trials.period_map import FollowerMap, PeriodMaps
 
 _NEGLIGIBLE = 1e-9  # elements of matrices
+_VANISHED = 1e-6  # eigenvalues of what a period forgets
 SLOWEST = (
     1e-3  # 1/s; slower poles are of what no aircraft returns to, such as the Earth's curvature
 )
 MESSAGE_SIZE = 9  # of a follower
 _BISECTIONS = 16
+_NYQUIST_POINTS = 4001  # from 0 to the Nyquist frequency
+_COARSE_S = 0.2  # of the search for a delay
 
 
 class Mode(NamedTuple):
     """An oscillation, or an exponential where the frequency is zero.
 
     Attributes:
-        frequency_hz: of its circle about the origin, as `Oscillation`.
+        frequency_hz: of its zero crossings, as that of `Oscillation`.
         damping: ratio; 1 or -1 for an exponential.
         pole: 1/s.
         follower: with the largest share in it.
-        share: of states by group, the largest first.
+        states: the largest shares in it.
     """
 
     frequency_hz: float
@@ -141,12 +144,32 @@ class LinearFormation:
     loops: Array
     labels: tuple[str, ...]
 
+    def of(self, follower: int) -> LinearFormation:
+        """Return the followers that influence each other with one of them, by themselves."""
+        own = self.loops[self.owners] == self.loops[follower]
+        rows = np.flatnonzero(self.loops == self.loops[follower])
+        number = np.cumsum(self.loops == self.loops[follower]) - 1
+        return LinearFormation(
+            self.dt,
+            tuple(self.names[i] for i in rows),
+            self.a[np.ix_(own, own)],
+            self.b_command[rows][:, :, own],
+            self.c_command[rows][..., own],
+            self.b_leader[own],
+            self.d_leader[rows],
+            self.c_error[rows][..., own],
+            self.c_attitude[rows][..., own],
+            number[self.owners[own]],
+            self.loops[rows],
+            tuple(np.array(self.labels)[own].tolist()),
+        )
+
     def modes(self) -> list[Mode]:
         """Return the modes, the least damped first; slower ones than SLOWEST are left out."""
         values, vectors = np.linalg.eig(self.a)
         left = np.linalg.pinv(vectors)
         found = []
-        for k in np.flatnonzero(np.abs(values) > 1e-6):
+        for k in np.flatnonzero(np.abs(values) > _VANISHED):
             pole = complex(np.log(complex(values[k]))) / self.dt
             if abs(pole) < SLOWEST or pole.imag < 0.0:
                 continue
@@ -155,7 +178,7 @@ class LinearFormation:
             largest = [self.labels[j] for j in np.argsort(-share)[:4]]
             found.append(
                 Mode(
-                    abs(pole) / (2.0 * math.pi) if pole.imag > 1e-9 else 0.0,
+                    pole.imag / (2.0 * math.pi) if pole.imag > 1e-9 else 0.0,
                     -pole.real / abs(pole),
                     pole,
                     self.names[int(np.argmax(by_owner))],
@@ -176,11 +199,9 @@ class LinearFormation:
             follower: 0..n-1.
             command: row of COMMANDS.
         """
-        # only followers that influence each other can destabilise each other
-        own = self.loops[self.owners] == self.loops[follower]
-        a = self.a[np.ix_(own, own)]
-        b = self.b_command[follower][:, own, command]
-        c = self.c_command[follower, command, own]
+        own = self.of(follower)  # others cannot destabilise it
+        at = own.names.index(self.names[follower])
+        a, b, c = own.a, own.b_command[at, ..., command], own.c_command[at, command]
         whole = b.sum(axis=0)
 
         def with_gain(factor: float) -> bool:
@@ -190,7 +211,7 @@ class LinearFormation:
         least = 1.0 / _largest(lambda by: with_gain(1.0 / by), 1.0, 1000.0)
         latency = _largest(lambda late: self.is_stable(self._late(a, b, c, late)), 0.0, 1.0)
         frequency = np.geomspace(0.01, 0.5 / self.dt, 3000)
-        loop = self.open_loop(follower, command, frequency)
+        loop = own.open_loop(at, command, frequency)
         return CommandMargins(
             gain,
             least if least > 0.0 else 0.0,
@@ -246,11 +267,13 @@ class LinearFormation:
         return a
 
 
-def join(maps: PeriodMaps) -> LinearFormation:
+def join(maps: PeriodMaps, later: int = 0) -> LinearFormation:
     """Join the followers of a formation by their messages.
 
     Args:
         maps: of their control periods.
+        later: control periods by which the followers' messages are older than in the flight. The
+            steady flight itself stays as it is.
     """
     followers = [average(each) for each in maps.followers]
     n = len(followers)
@@ -258,7 +281,7 @@ def join(maps: PeriodMaps) -> LinearFormation:
     ages = np.zeros((n, n + 1), dtype=int)
     for i, each in enumerate(followers):
         for j in each.b_message:
-            ages[i, j] = round(float(np.nan_to_num(maps.age_s[i, j])) / maps.dt)
+            ages[i, j] = round(float(np.nan_to_num(maps.age_s[i, j])) / maps.dt) + later
     history = [int(ages[:, j + 1].max(initial=0)) for j in range(n)]
     starts = first[-1] + np.concatenate(([0], np.cumsum(MESSAGE_SIZE * np.array(history))))
     size = int(starts[-1])
@@ -273,19 +296,23 @@ def join(maps: PeriodMaps) -> LinearFormation:
         b_command[i][:, own] = each.b_command
         c_command[i][:, own], c_error[i][:, own] = each.c_command, each.c_error
         c_attitude[i][:, own] = each.c_attitude
-        for j, b in each.b_message.items():
+        for j in each.b_message:
             if j == 0:
-                b_leader[own], d_leader[i] = b, each.d_message[j]
+                b_leader[own], d_leader[i] = each.b_message[j], each.d_message[j]
                 continue
+            older = np.eye(MESSAGE_SIZE)
+            if maps.from_timestamp[i] and later:
+                older = _extrapolated(later * maps.dt, bool(maps.with_acceleration[i]))
+            b, d = each.b_message[j] @ older, each.d_message[j] @ older
             sender = slice(first[j - 1], first[j])
             if ages[i, j] == 0:
                 a[own, sender] += b @ followers[j - 1].c_message
-                c_command[i][:, sender] += each.d_message[j] @ followers[j - 1].c_message
+                c_command[i][:, sender] += d @ followers[j - 1].c_message
             else:
                 at = starts[j - 1] + MESSAGE_SIZE * (ages[i, j] - 1)
                 sent = slice(at, at + MESSAGE_SIZE)
                 a[own, sent] += b
-                c_command[i][:, sent] += each.d_message[j]
+                c_command[i][:, sent] += d
     for j in range(n):
         for k in range(history[j]):
             at = starts[j] + MESSAGE_SIZE * k
@@ -305,6 +332,92 @@ def join(maps: PeriodMaps) -> LinearFormation:
         maps.dt, names, a, b_command, c_command, b_leader, d_leader, c_error, c_attitude, owners,
         _loops(followers), tuple(labels),
     )  # fmt: skip
+
+
+def message_delay_margin(maps: PeriodMaps, longest_s: float = 5.0) -> float:
+    """Return the largest additional delay of all followers' messages, s; inf: none is too long.
+
+    To a control period. Without followers that influence each other in a circle none is. With
+    messages cut the formation is stable; the number of its unstable poles with messages is that of
+    the turns of det(1 - G) about the origin, where G is the loop of all messages.
+
+    Args:
+        maps: of the control periods.
+        longest_s: that is tried.
+    """
+    followers = [average(each) for each in maps.followers]
+    loops = _loops(followers)
+    margin = math.inf
+    for loop in set(loops.tolist()):
+        rows = np.flatnonzero(loops == loop)
+        if len(rows) > 1:
+            margin = min(margin, _MessageLoop(maps, followers, rows.tolist()).margin(longest_s))
+    return margin
+
+
+class _MessageLoop:
+    """The loop of the messages among some followers."""
+
+    def __init__(self, maps: PeriodMaps, followers: list[LinearFollower], rows: list[int]) -> None:
+        """Compute what each message does to the messages that follow, at frequencies."""
+        self._maps, n = maps, len(rows)
+        angles = np.linspace(0.0, math.pi, _NYQUIST_POINTS)
+        z = np.exp(1j * angles)
+        self._turn = np.kron(np.eye(3), maps.turn)
+        self._z, self._parts = z, []
+        for at, i in enumerate(rows):
+            each = followers[i]
+            values, vectors = np.linalg.eig(each.a)
+            out = each.c_message @ vectors
+            for to, j in enumerate(rows):
+                if j + 1 not in each.b_message:
+                    continue
+                age = round(float(maps.age_s[i, j + 1]) / maps.dt)
+                into = np.linalg.solve(vectors, each.b_message[j + 1])
+                whole = (out[np.newaxis] / (z[:, np.newaxis, np.newaxis] - values)) @ into
+                self._parts.append((at, to, i, age, whole))
+        self._size = MESSAGE_SIZE * n
+
+    def margin(self, longest_s: float) -> float:
+        """Return the largest additional delay, s."""
+        last = round(longest_s / self._maps.dt)
+        stride = max(1, round(_COARSE_S / self._maps.dt))
+        stable = 0
+        while stable < last:
+            later = min(stride, last - stable)
+            if self._is_stable(stable + later):
+                stable += later
+            elif later == 1:
+                return stable * self._maps.dt
+            else:
+                stride = 1
+        return math.inf
+
+    def _is_stable(self, later: int) -> bool:
+        maps, z = self._maps, self._z
+        loop = np.zeros((len(z), self._size, self._size), dtype=complex)
+        for at, to, i, age, whole in self._parts:
+            older = np.eye(MESSAGE_SIZE)
+            if maps.from_timestamp[i]:
+                older = _extrapolated(later * maps.dt, bool(maps.with_acceleration[i]))
+            delay = age + later
+            turned = np.linalg.matrix_power(self._turn, delay)
+            block = whole @ (older @ turned) * z[:, np.newaxis, np.newaxis] ** -delay
+            rows = slice(MESSAGE_SIZE * at, MESSAGE_SIZE * (at + 1))
+            loop[:, rows, MESSAGE_SIZE * to : MESSAGE_SIZE * (to + 1)] = block
+        values = np.linalg.det(np.eye(self._size) - loop)
+        turns = np.angle(values[1:] / values[:-1]).sum() / math.pi
+        return bool(abs(turns) < 0.5)
+
+
+def _extrapolated(dt: float, parabola: bool) -> Array:
+    """Return the matrix (9, 9) from a message to one that is dt, s, newer."""
+    matrix = np.eye(MESSAGE_SIZE)
+    matrix[:3, 3:6] = dt * np.eye(3)
+    if parabola:
+        matrix[:3, 6:] = 0.5 * dt * dt * np.eye(3)
+        matrix[3:6, 6:] = dt * np.eye(3)
+    return matrix
 
 
 def _loops(followers: list[LinearFollower]) -> Array:

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from testbed.core.frames import course
-from testbed.core.records import Array, Records
+from testbed.core.records import Array, BoolArray, Records
 from testbed.trials.held_flight import LEADER_MESSAGE, MESSAGE, HeldFlight
 from testbed.vehicle.compiled.columns import CONSTANTS, CONTROLS, START, WIND
 from testbed.vehicle.compiled.frame import quaternion_of
@@ -87,6 +87,8 @@ class PeriodMaps:
         error_ned: (n, 3) m, their steady slot errors, forward, right, down in the leader's frame.
         age_s: (n, N) s, ages of the messages used; NaN: not used.
         turn: (3, 3) rotation of a vector that keeps its direction, from one period to the next.
+        from_timestamp: (n,) whether a follower extrapolates messages from their time stamps.
+        with_acceleration: (n,) whether it does so along a parabola.
     """
 
     dt: float
@@ -95,6 +97,8 @@ class PeriodMaps:
     error: Array
     age_s: Array
     turn: Array
+    from_timestamp: BoolArray
+    with_acceleration: BoolArray
 
 
 class _Numbers(NamedTuple):
@@ -225,6 +229,7 @@ class PeriodLinearisation:
             )
         from_ned, _ = self._frames()
         self._flight.write_errors()
+        law = self._world.formation.built_control.controllers["law"]
         followers = self._world.followers
         return PeriodMaps(
             self._flight.dt,
@@ -233,6 +238,7 @@ class PeriodLinearisation:
             followers["error_ned"] @ from_ned.T,
             np.array(self._world.links["age_s"]),
             _fraction(from_ned @ before.T, periods),
+            *(np.array(law[name]) for name in ("from_timestamp", "with_acceleration")),
         )
 
     def _next_period(self) -> list[FollowerMap]:
