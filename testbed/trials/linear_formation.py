@@ -17,6 +17,7 @@ import numpy as np
 from scipy.sparse.csgraph import connected_components
 
 from testbed.core.records import Array, BoolArray
+from testbed.trials.follower_state import about_vertical
 from testbed.trials.period_map import FollowerMap, PeriodMaps
 
 _NEGLIGIBLE = 1e-9  # elements of matrices
@@ -75,6 +76,7 @@ class LinearFollower:
     a: Array  # (S, S)
     b_command: Array  # (Q, S, 3)
     c_command: Array  # (3, S)
+    b_wind: Array  # (S, 3)
     b_message: dict[int, Array]  # by the sender's row, (S, M)
     d_message: dict[int, Array]  # (3, M)
     c_message: Array  # (9, S)
@@ -85,31 +87,32 @@ class LinearFollower:
 def average(follower: FollowerMap) -> LinearFollower:
     """Average the maps of a follower, and leave out the states that nothing reads."""
     a = follower.a.mean(axis=0)
-    outputs = [follower.c_command, follower.c_message, follower.c_error, follower.c_attitude]
-    command, message, error, attitude = (each.mean(axis=0) for each in outputs)
-    kept = _read_states(a, np.vstack((command, message, error)))
+    command, output = follower.c_command.mean(axis=0), follower.c_output.mean(axis=0)
+    kept = _read_states(a, np.vstack((command, output)))
+    message, error, attitude = np.split(output[:, kept], (MESSAGE_SIZE, MESSAGE_SIZE + 3))
     return LinearFollower(
         follower.name,
         tuple(np.array(follower.labels)[kept].tolist()),
         a[np.ix_(kept, kept)],
         follower.b_command.mean(axis=0)[:, kept],
         command[:, kept],
+        follower.b_wind.mean(axis=0)[kept],
         {j: each.mean(axis=0)[kept] for j, each in follower.b_message.items()},
         {j: each.mean(axis=0) for j, each in follower.d_message.items()},
-        message[:, kept],
-        error[:, kept],
-        attitude[:, kept],
+        message,
+        error,
+        attitude,
     )
 
 
 def _read_states(a: Array, outputs: Array) -> BoolArray:
     """Return which states (S,) reach an output."""
-    kept: BoolArray = (np.abs(outputs) > _NEGLIGIBLE).any(axis=0)
-    while True:
-        more = kept | (np.abs(a[kept]) > _NEGLIGIBLE).any(axis=0)
-        if (more == kept).all():
-            return kept
-        kept = more
+    reads, kept = np.abs(a) > _NEGLIGIBLE, (np.abs(outputs) > _NEGLIGIBLE).any(axis=0)
+    count = -1
+    while count != int(np.count_nonzero(kept)):
+        count = int(np.count_nonzero(kept))
+        kept = np.logical_or(kept, reads[kept].any(axis=0))
+    return np.asarray(kept)
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,6 +125,7 @@ class LinearFormation:
         a: (S, S) of the states of all followers, then of the messages under way.
         b_command: (n, Q, S, 3).
         c_command: (n, 3, S).
+        b_wind: (S, 3) of a uniform wind.
         b_leader: (S, 15) of the leader's message, as used.
         d_leader: (n, 3, 15) to the commands.
         c_error: (n, 3, S).
@@ -136,6 +140,7 @@ class LinearFormation:
     a: Array
     b_command: Array
     c_command: Array
+    b_wind: Array
     b_leader: Array
     d_leader: Array
     c_error: Array
@@ -155,6 +160,7 @@ class LinearFormation:
             self.a[np.ix_(own, own)],
             self.b_command[rows][:, :, own],
             self.c_command[rows][..., own],
+            self.b_wind[own],
             self.b_leader[own],
             self.d_leader[rows],
             self.c_error[rows][..., own],
@@ -231,7 +237,8 @@ class LinearFormation:
         values, vectors = np.linalg.eig(a)
         z = np.exp(2j * np.pi * np.asarray(frequency_hz) * self.dt)
         left = np.linalg.solve(vectors, b)
-        return ((c @ vectors) * left / (z[:, np.newaxis] - values)).sum(axis=1)
+        response: Array = ((c @ vectors) * left / (z[:, np.newaxis] - values)).sum(axis=1)
+        return response
 
     def _late(self, closed: Array, b: Array, c: Array, latency_s: float) -> Array:
         """Return the system with one command late.
@@ -285,14 +292,16 @@ def join(maps: PeriodMaps, later: int = 0) -> LinearFormation:
     history = [int(ages[:, j + 1].max(initial=0)) for j in range(n)]
     starts = first[-1] + np.concatenate(([0], np.cumsum(MESSAGE_SIZE * np.array(history))))
     size = int(starts[-1])
-    turned = np.kron(np.eye(3), maps.turn)
+    turned = np.kron(np.eye(3), about_vertical(maps.turn))
     a, b_command = np.zeros((size, size)), np.zeros((n, *followers[0].b_command.shape[:1], size, 3))
     c_command, c_error = np.zeros((n, 3, size)), np.zeros((n, 3, size))
     c_attitude = np.zeros((n, 2, size))
+    b_wind = np.zeros((size, 3))
     b_leader, d_leader = np.zeros((size, 15)), np.zeros((n, 3, 15))
     for i, each in enumerate(followers):
         own = slice(first[i], first[i + 1])
         a[own, own] = each.a
+        b_wind[own] = each.b_wind
         b_command[i][:, own] = each.b_command
         c_command[i][:, own], c_error[i][:, own] = each.c_command, each.c_error
         c_attitude[i][:, own] = each.c_attitude
@@ -329,7 +338,7 @@ def join(maps: PeriodMaps, later: int = 0) -> LinearFormation:
     labels += ["message"] * (size - int(first[-1]))
     names = tuple(each.name for each in followers)
     return LinearFormation(
-        maps.dt, names, a, b_command, c_command, b_leader, d_leader, c_error, c_attitude, owners,
+        maps.dt, names, a, b_command, c_command, b_wind, b_leader, d_leader, c_error, c_attitude, owners,
         _loops(followers), tuple(labels),
     )  # fmt: skip
 
@@ -363,7 +372,7 @@ class _MessageLoop:
         self._maps, n = maps, len(rows)
         angles = np.linspace(0.0, math.pi, _NYQUIST_POINTS)
         z = np.exp(1j * angles)
-        self._turn = np.kron(np.eye(3), maps.turn)
+        self._turn = np.kron(np.eye(3), about_vertical(maps.turn))
         self._z, self._parts = z, []
         for at, i in enumerate(rows):
             each = followers[i]

@@ -15,7 +15,7 @@ from testbed.plan.world import build
 from testbed.scenario import Scenario
 from testbed.trials.held_flight import COMMANDS, HeldFlight
 from testbed.trials.linear_formation import CommandMargins, LinearFormation, Mode, join
-from testbed.trials.period_map import PeriodLinearisation
+from testbed.trials.period_map import linearise_periods
 from testbed.trials.steady_flight import (
     LONGEST_SETTLE_S,
     LOOK_S,
@@ -97,7 +97,7 @@ def linearise(flight: HeldFlight) -> LinearFormation:
     clock = flight.world.clock
     airspeed = round(AIRSPEED_S * clock.base_rate_hz)
     ticks = math.lcm(clock.period, airspeed)
-    return join(PeriodLinearisation(flight).maps(ticks // clock.control))
+    return join(linearise_periods(flight, ticks // clock.control))
 
 
 def _least_damped(formation: LinearFormation, follower: int) -> Mode | None:
