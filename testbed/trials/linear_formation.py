@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import schur
 from scipy.sparse.csgraph import connected_components
 
 from testbed.core.records import Array, BoolArray
@@ -26,6 +27,7 @@ SLOWEST = (
     1e-3  # 1/s; slower poles are of what no aircraft returns to, such as the Earth's curvature
 )
 MESSAGE_SIZE = 9  # of a follower
+MAX_GAIN, MIN_GAIN, MAX_LATENCY_S = 10.0, 0.001, 1.0  # that are tried
 _BISECTIONS = 16
 _NYQUIST_POINTS = 4001  # from 0 to the Nyquist frequency
 _COARSE_S = 0.2  # of the search for a delay
@@ -39,14 +41,14 @@ class Mode(NamedTuple):
         damping: ratio; 1 or -1 for an exponential.
         pole: 1/s.
         follower: with the largest share in it.
-        states: the largest shares in it.
+        motion: of that follower, mostly: "bank", "pitch", "speed" or "height".
     """
 
     frequency_hz: float
     damping: float
     pole: complex
     follower: str
-    states: tuple[str, ...]
+    motion: str
 
 
 class CommandMargins(NamedTuple):
@@ -121,6 +123,7 @@ class LinearFormation:
 
     Attributes:
         dt: s, control period.
+        speed: m/s, of the leader over the ground.
         names: of the n followers.
         a: (S, S) of the states of all followers, then of the messages under way.
         b_command: (n, Q, S, 3).
@@ -136,6 +139,7 @@ class LinearFormation:
     """
 
     dt: float
+    speed: float
     names: tuple[str, ...]
     a: Array
     b_command: Array
@@ -156,6 +160,7 @@ class LinearFormation:
         number = np.cumsum(self.loops == self.loops[follower]) - 1
         return LinearFormation(
             self.dt,
+            self.speed,
             tuple(self.names[i] for i in rows),
             self.a[np.ix_(own, own)],
             self.b_command[rows][:, :, own],
@@ -181,17 +186,30 @@ class LinearFormation:
                 continue
             share = np.abs(vectors[:, k] * left[k])
             by_owner = [share[self.owners == i].sum() for i in range(len(self.names))]
-            largest = [self.labels[j] for j in np.argsort(-share)[:4]]
+            follower = int(np.argmax(by_owner))
             found.append(
                 Mode(
                     pole.imag / (2.0 * math.pi) if pole.imag > 1e-9 else 0.0,
                     -pole.real / abs(pole),
                     pole,
-                    self.names[int(np.argmax(by_owner))],
-                    tuple(largest),
+                    self.names[follower],
+                    self._motion(follower, vectors[:, k], abs(pole)),
                 )
             )
         return sorted(found, key=lambda mode: mode.damping)
+
+    def _motion(self, follower: int, vector: Array, rate: float) -> str:
+        """Return in what a follower moves most: angles, and velocities over its speed.
+
+        Args:
+            follower: 0..n-1.
+            vector: (S,) of the mode.
+            rate: its magnitude, 1/s.
+        """
+        roll, pitch = np.abs(self.c_attitude[follower] @ vector)
+        forward, _, down = np.abs(self.c_error[follower] @ vector) * rate / self.speed
+        parts = {"bank": roll, "pitch": pitch, "speed": forward, "height": down}
+        return max(parts, key=lambda name: parts[name])
 
     def is_stable(self, a: Array | None = None) -> bool:
         """Return whether nothing grows."""
@@ -213,14 +231,16 @@ class LinearFormation:
         def with_gain(factor: float) -> bool:
             return self.is_stable(a + (factor - 1.0) * np.outer(whole, c))
 
-        gain = _largest(with_gain, 1.0, 10.0)
-        least = 1.0 / _largest(lambda by: with_gain(1.0 / by), 1.0, 1000.0)
-        latency = _largest(lambda late: self.is_stable(self._late(a, b, c, late)), 0.0, 1.0)
+        gain = _largest(with_gain, 1.0, MAX_GAIN)
+        least = 1.0 / _largest(lambda by: with_gain(1.0 / by), 1.0, 1.0 / MIN_GAIN)
+        latency = _largest(
+            lambda late: self.is_stable(self._late(a, b, c, late)), 0.0, MAX_LATENCY_S
+        )
         frequency = np.geomspace(0.01, 0.5 / self.dt, 3000)
         loop = own.open_loop(at, command, frequency)
         return CommandMargins(
             gain,
-            least if least > 0.0 else 0.0,
+            least,
             latency,
             _phase_margin_deg(loop),
             float(np.abs(1.0 + loop).min()),
@@ -234,10 +254,15 @@ class LinearFormation:
 
     def respond(self, a: Array, b: Array, c: Array, frequency_hz: Array) -> Array:
         """Return c (z − a)⁻¹ b at frequencies (F,)."""
-        values, vectors = np.linalg.eig(a)
+        # by a triangular matrix: messages under way have no eigenvectors
+        triangle, unitary = schur(a, output="complex")
         z = np.exp(2j * np.pi * np.asarray(frequency_hz) * self.dt)
-        left = np.linalg.solve(vectors, b)
-        response: Array = ((c @ vectors) * left / (z[:, np.newaxis] - values)).sum(axis=1)
+        into = unitary.conj().T @ b
+        states = np.zeros((len(b), len(z)), dtype=complex)
+        for k in range(len(b) - 1, -1, -1):
+            later = triangle[k, k + 1 :] @ states[k + 1 :]
+            states[k] = (into[k] + later) / (z - triangle[k, k])
+        response: Array = (c @ unitary) @ states
         return response
 
     def _late(self, closed: Array, b: Array, c: Array, latency_s: float) -> Array:
@@ -338,9 +363,9 @@ def join(maps: PeriodMaps, later: int = 0) -> LinearFormation:
     labels += ["message"] * (size - int(first[-1]))
     names = tuple(each.name for each in followers)
     return LinearFormation(
-        maps.dt, names, a, b_command, c_command, b_wind, b_leader, d_leader, c_error, c_attitude, owners,
-        _loops(followers), tuple(labels),
-    )  # fmt: skip
+        *(maps.dt, maps.speed, names, a, b_command, c_command, b_wind, b_leader, d_leader),
+        *(c_error, c_attitude, owners, _loops(followers), tuple(labels)),
+    )
 
 
 def message_delay_margin(maps: PeriodMaps, longest_s: float = 5.0) -> float:

@@ -69,6 +69,7 @@ class PeriodMaps:
 
     Attributes:
         dt: s, control period.
+        speed: m/s, of the leader over the ground.
         followers: n.
         bank: (n,) rad, of the followers.
         error: (n, 3) m, their steady slot errors, forward, right, down.
@@ -79,6 +80,7 @@ class PeriodMaps:
     """
 
     dt: float
+    speed: float
     followers: tuple[FollowerMap, ...]
     bank: Array
     error: Array
@@ -105,6 +107,7 @@ def linearise_periods(flight: HeldFlight, periods: int) -> PeriodMaps:
     law = formation.built_control.controllers["law"]
     return PeriodMaps(
         flight.dt,
+        float(np.linalg.norm(flight.world.aircraft["truth"]["velocity_ned"][0])),
         tuple(_stacked(each) for each in zip(*parts, strict=True)),
         np.array(flight.world.aircraft["truth"]["euler"][1:, 0]),
         followers["error_ned"] @ from_ned.T,

@@ -7,6 +7,7 @@ with flights in docs/formation.md.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,8 +15,14 @@ import numpy as np
 from testbed.plan.world import build
 from testbed.scenario import Scenario
 from testbed.trials.held_flight import COMMANDS, HeldFlight
-from testbed.trials.linear_formation import CommandMargins, LinearFormation, Mode, join
-from testbed.trials.period_map import linearise_periods
+from testbed.trials.linear_formation import (
+    CommandMargins,
+    LinearFormation,
+    Mode,
+    join,
+    message_delay_margin,
+)
+from testbed.trials.period_map import PeriodMaps, linearise_periods
 from testbed.trials.steady_flight import (
     LONGEST_SETTLE_S,
     LOOK_S,
@@ -53,13 +60,13 @@ class Prediction:
     Attributes:
         bank_deg: asked for, of the follower that banks most; clockwise if positive.
         followers: empty where there is a problem.
-        formation: the linear system; None where there is a problem.
+        message_delay_s: largest additional delay of all followers' messages; inf: none is too long.
         problem: why there are no numbers; "": there are.
     """
 
     bank_deg: float
     followers: tuple[PredictedMargins, ...]
-    formation: LinearFormation | None
+    message_delay_s: float
     problem: str
 
 
@@ -77,8 +84,9 @@ def predict_margins(scenario: Scenario, bank_deg: float) -> Prediction:
     check_measurable(scenario)
     flight, problem = _fly_steadily(scenario, bank_deg)
     if problem:
-        return Prediction(bank_deg, (), None, problem)
-    formation = linearise(flight)
+        return Prediction(bank_deg, (), math.nan, problem)
+    maps = linearise(flight)
+    formation = join(maps)
     banks = np.degrees(flight.world.aircraft["truth"]["euler"][1:, 0])
     followers = tuple(
         PredictedMargins(
@@ -89,15 +97,45 @@ def predict_margins(scenario: Scenario, bank_deg: float) -> Prediction:
         )
         for i, name in enumerate(formation.names)
     )
-    return Prediction(bank_deg, followers, formation, "")
+    return Prediction(bank_deg, followers, message_delay_margin(maps), "")
 
 
-def linearise(flight: HeldFlight) -> LinearFormation:
+def worse_prediction(turns: Sequence[Prediction]) -> Prediction:
+    """Return the worse numbers of each follower in both directions, and its higher bank."""
+    problems = dict.fromkeys(each.problem for each in turns if each.problem)
+    if problems:
+        return Prediction(abs(turns[0].bank_deg), (), math.nan, "; ".join(problems))
+    followers = tuple(
+        _worse_of(pair) for pair in zip(*(each.followers for each in turns), strict=True)
+    )
+    delay_s = min(each.message_delay_s for each in turns)
+    return Prediction(abs(turns[0].bank_deg), followers, delay_s, "")
+
+
+def _worse_of(pair: Sequence[PredictedMargins]) -> PredictedMargins:
+    modes = [each.least_damped for each in pair if each.least_damped is not None]
+    commands = {}
+    for name in COMMANDS:
+        gains, least, latencies, phases, distances = zip(
+            *(each.commands[name] for each in pair), strict=True
+        )
+        commands[name] = CommandMargins(
+            min(gains), max(least), min(latencies), min(phases), min(distances)
+        )
+    return PredictedMargins(
+        pair[0].name,
+        max((each.bank_deg for each in pair), key=abs),
+        min(modes, key=lambda mode: mode.damping, default=None),
+        commands,
+    )
+
+
+def linearise(flight: HeldFlight) -> PeriodMaps:
     """Linearise a steady flight over the periods after which it repeats."""
     clock = flight.world.clock
     airspeed = round(AIRSPEED_S * clock.base_rate_hz)
     ticks = math.lcm(clock.period, airspeed)
-    return join(linearise_periods(flight, ticks // clock.control))
+    return linearise_periods(flight, ticks // clock.control)
 
 
 def _least_damped(formation: LinearFormation, follower: int) -> Mode | None:
