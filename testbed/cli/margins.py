@@ -70,8 +70,7 @@ def margins_command(
     There the control period of each follower is linearised. Least damped is the oscillation with
     the lowest damping ratio. The margins are those of one command of one follower: the factor at
     which oscillations no longer decay, the additional latency, the phase, and the distance, the
-    least of |1 + L| of the open loop L. Messages have one where followers influence each other
-    in a circle. Of both directions each number is the worse one.
+    least of |1 + L| of the open loop L. Of both directions each number is the worse one.
 
     With --flown the same is measured: the least damped oscillation of bank and pitch after a kick
     of 1° of one follower's commands; when 5 % are left of a displacement of 1 m to the right and
@@ -107,9 +106,6 @@ def margins_command(
     for each in predicted:
         if each.problem:
             console.write_line(f" at {each.bank_deg:g}°: {each.problem}", "yellow")
-    if finite := [each for each in predicted if math.isfinite(each.message_delay_s)]:
-        delays = ", ".join(f"{each.message_delay_s:.2f} s at {each.bank_deg:g}°" for each in finite)
-        console.write_line(f" messages may come later by {delays}")
     if not flown:
         return
     console.write_line()

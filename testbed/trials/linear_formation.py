@@ -29,8 +29,6 @@ SLOWEST = (
 MESSAGE_SIZE = 9  # of a follower
 MAX_GAIN, MIN_GAIN, MAX_LATENCY_S = 10.0, 0.001, 1.0  # that are tried
 _BISECTIONS = 16
-_NYQUIST_POINTS = 4001  # from 0 to the Nyquist frequency
-_COARSE_S = 0.2  # of the search for a delay
 
 
 class Mode(NamedTuple):
@@ -299,13 +297,11 @@ class LinearFormation:
         return a
 
 
-def join(maps: PeriodMaps, later: int = 0) -> LinearFormation:
+def join(maps: PeriodMaps) -> LinearFormation:
     """Join the followers of a formation by their messages.
 
     Args:
         maps: of their control periods.
-        later: control periods by which the followers' messages are older than in the flight. The
-            steady flight itself stays as it is.
     """
     followers = [average(each) for each in maps.followers]
     n = len(followers)
@@ -313,7 +309,7 @@ def join(maps: PeriodMaps, later: int = 0) -> LinearFormation:
     ages = np.zeros((n, n + 1), dtype=int)
     for i, each in enumerate(followers):
         for j in each.b_message:
-            ages[i, j] = round(float(np.nan_to_num(maps.age_s[i, j])) / maps.dt) + later
+            ages[i, j] = round(float(np.nan_to_num(maps.age_s[i, j])) / maps.dt)
     history = [int(ages[:, j + 1].max(initial=0)) for j in range(n)]
     starts = first[-1] + np.concatenate(([0], np.cumsum(MESSAGE_SIZE * np.array(history))))
     size = int(starts[-1])
@@ -334,10 +330,7 @@ def join(maps: PeriodMaps, later: int = 0) -> LinearFormation:
             if j == 0:
                 b_leader[own], d_leader[i] = each.b_message[j], each.d_message[j]
                 continue
-            older = np.eye(MESSAGE_SIZE)
-            if maps.from_timestamp[i] and later:
-                older = _extrapolated(later * maps.dt, bool(maps.with_acceleration[i]))
-            b, d = each.b_message[j] @ older, each.d_message[j] @ older
+            b, d = each.b_message[j], each.d_message[j]
             sender = slice(first[j - 1], first[j])
             if ages[i, j] == 0:
                 a[own, sender] += b @ followers[j - 1].c_message
@@ -366,92 +359,6 @@ def join(maps: PeriodMaps, later: int = 0) -> LinearFormation:
         *(maps.dt, maps.speed, names, a, b_command, c_command, b_wind, b_leader, d_leader),
         *(c_error, c_attitude, owners, _loops(followers), tuple(labels)),
     )
-
-
-def message_delay_margin(maps: PeriodMaps, longest_s: float = 5.0) -> float:
-    """Return the largest additional delay of all followers' messages, s; inf: none is too long.
-
-    To a control period. Without followers that influence each other in a circle none is. With
-    messages cut the formation is stable; the number of its unstable poles with messages is that of
-    the turns of det(1 - G) about the origin, where G is the loop of all messages.
-
-    Args:
-        maps: of the control periods.
-        longest_s: that is tried.
-    """
-    followers = [average(each) for each in maps.followers]
-    loops = _loops(followers)
-    margin = math.inf
-    for loop in set(loops.tolist()):
-        rows = np.flatnonzero(loops == loop)
-        if len(rows) > 1:
-            margin = min(margin, _MessageLoop(maps, followers, rows.tolist()).margin(longest_s))
-    return margin
-
-
-class _MessageLoop:
-    """The loop of the messages among some followers."""
-
-    def __init__(self, maps: PeriodMaps, followers: list[LinearFollower], rows: list[int]) -> None:
-        """Compute what each message does to the messages that follow, at frequencies."""
-        self._maps, n = maps, len(rows)
-        angles = np.linspace(0.0, math.pi, _NYQUIST_POINTS)
-        z = np.exp(1j * angles)
-        self._turn = np.kron(np.eye(3), about_vertical(maps.turn))
-        self._z, self._parts = z, []
-        for at, i in enumerate(rows):
-            each = followers[i]
-            values, vectors = np.linalg.eig(each.a)
-            out = each.c_message @ vectors
-            for to, j in enumerate(rows):
-                if j + 1 not in each.b_message:
-                    continue
-                age = round(float(maps.age_s[i, j + 1]) / maps.dt)
-                into = np.linalg.solve(vectors, each.b_message[j + 1])
-                whole = (out[np.newaxis] / (z[:, np.newaxis, np.newaxis] - values)) @ into
-                self._parts.append((at, to, i, age, whole))
-        self._size = MESSAGE_SIZE * n
-
-    def margin(self, longest_s: float) -> float:
-        """Return the largest additional delay, s."""
-        last = round(longest_s / self._maps.dt)
-        stride = max(1, round(_COARSE_S / self._maps.dt))
-        stable = 0
-        while stable < last:
-            later = min(stride, last - stable)
-            if self._is_stable(stable + later):
-                stable += later
-            elif later == 1:
-                return stable * self._maps.dt
-            else:
-                stride = 1
-        return math.inf
-
-    def _is_stable(self, later: int) -> bool:
-        maps, z = self._maps, self._z
-        loop = np.zeros((len(z), self._size, self._size), dtype=complex)
-        for at, to, i, age, whole in self._parts:
-            older = np.eye(MESSAGE_SIZE)
-            if maps.from_timestamp[i]:
-                older = _extrapolated(later * maps.dt, bool(maps.with_acceleration[i]))
-            delay = age + later
-            turned = np.linalg.matrix_power(self._turn, delay)
-            block = whole @ (older @ turned) * z[:, np.newaxis, np.newaxis] ** -delay
-            rows = slice(MESSAGE_SIZE * at, MESSAGE_SIZE * (at + 1))
-            loop[:, rows, MESSAGE_SIZE * to : MESSAGE_SIZE * (to + 1)] = block
-        values = np.linalg.det(np.eye(self._size) - loop)
-        turns = np.angle(values[1:] / values[:-1]).sum() / math.pi
-        return bool(abs(turns) < 0.5)
-
-
-def _extrapolated(dt: float, parabola: bool) -> Array:
-    """Return the matrix (9, 9) from a message to one that is dt, s, newer."""
-    matrix = np.eye(MESSAGE_SIZE)
-    matrix[:3, 3:6] = dt * np.eye(3)
-    if parabola:
-        matrix[:3, 6:] = 0.5 * dt * dt * np.eye(3)
-        matrix[3:6, 6:] = dt * np.eye(3)
-    return matrix
 
 
 def _loops(followers: list[LinearFollower]) -> Array:

@@ -20,7 +20,6 @@ from testbed.trials.linear_formation import (
     LinearFormation,
     Mode,
     join,
-    message_delay_margin,
 )
 from testbed.trials.period_map import PeriodMaps, linearise_periods
 from testbed.trials.steady_flight import (
@@ -60,13 +59,11 @@ class Prediction:
     Attributes:
         bank_deg: asked for, of the follower that banks most; clockwise if positive.
         followers: empty where there is a problem.
-        message_delay_s: largest additional delay of all followers' messages; inf: none is too long.
         problem: why there are no numbers; "": there are.
     """
 
     bank_deg: float
     followers: tuple[PredictedMargins, ...]
-    message_delay_s: float
     problem: str
 
 
@@ -84,9 +81,8 @@ def predict_margins(scenario: Scenario, bank_deg: float) -> Prediction:
     check_measurable(scenario)
     flight, problem = _fly_steadily(scenario, bank_deg)
     if problem:
-        return Prediction(bank_deg, (), math.nan, problem)
-    maps = linearise(flight)
-    formation = join(maps)
+        return Prediction(bank_deg, (), problem)
+    formation = join(linearise(flight))
     banks = np.degrees(flight.world.aircraft["truth"]["euler"][1:, 0])
     followers = tuple(
         PredictedMargins(
@@ -97,19 +93,18 @@ def predict_margins(scenario: Scenario, bank_deg: float) -> Prediction:
         )
         for i, name in enumerate(formation.names)
     )
-    return Prediction(bank_deg, followers, message_delay_margin(maps), "")
+    return Prediction(bank_deg, followers, "")
 
 
 def worse_prediction(turns: Sequence[Prediction]) -> Prediction:
     """Return the worse numbers of each follower in both directions, and its higher bank."""
     problems = dict.fromkeys(each.problem for each in turns if each.problem)
     if problems:
-        return Prediction(abs(turns[0].bank_deg), (), math.nan, "; ".join(problems))
+        return Prediction(abs(turns[0].bank_deg), (), "; ".join(problems))
     followers = tuple(
         _worse_of(pair) for pair in zip(*(each.followers for each in turns), strict=True)
     )
-    delay_s = min(each.message_delay_s for each in turns)
-    return Prediction(abs(turns[0].bank_deg), followers, delay_s, "")
+    return Prediction(abs(turns[0].bank_deg), followers, "")
 
 
 def _worse_of(pair: Sequence[PredictedMargins]) -> PredictedMargins:

@@ -9,7 +9,7 @@ import pytest
 from testbed.plan.world import build
 from testbed.scenario import load_scenario
 from testbed.trials.held_flight import HeldFlight
-from testbed.trials.linear_formation import average, join, message_delay_margin
+from testbed.trials.linear_formation import average, join
 from testbed.trials.predicted_margins import linearise
 from testbed.trials.steady_flight import steady_scenario
 
@@ -63,6 +63,12 @@ def predicted(formation, follower, periods):
     return np.array(rows)
 
 
+def poles_of(a, dt):
+    """Return the poles of a discrete system but those that a period forgets, 1/s."""
+    values = np.linalg.eigvals(a).astype(complex)
+    return np.log(values[np.abs(values) > 1e-6]) / dt
+
+
 def largest_error(found, flown):
     """Return the largest error of roll and pitch of a follower, relative."""
     return np.max(np.linalg.norm(found - flown, axis=0) / np.linalg.norm(flown, axis=0))
@@ -94,10 +100,9 @@ def test_average_has_the_poles_of_the_product(turn):
     own = turn.maps.followers[0]
     assert len(own.a) == 5 and np.abs(own.a[0] - own.a[1]).max() > 1e-3
     whole = np.linalg.multi_dot(own.a[::-1])
-    exact = np.log(np.linalg.eigvals(whole).astype(complex)) / (5.0 * turn.maps.dt)
-    poles = np.log(np.linalg.eigvals(average(own).a).astype(complex)) / turn.maps.dt
-    slow = [pole for pole in poles if 0.5 < abs(pole) and abs(pole.imag) < 12.0]
-    oscillations = [pole for pole in slow if pole.imag > 0.1 and abs(pole) < 12.0]
+    exact = poles_of(whole, 5.0 * turn.maps.dt)
+    poles = poles_of(average(own).a, turn.maps.dt)
+    oscillations = [pole for pole in poles if pole.imag > 0.1 and abs(pole) < 12.0]
     assert len(oscillations) >= 3
     for pole in oscillations:
         assert np.abs(exact - pole).min() < 0.01 * abs(pole)
@@ -108,8 +113,8 @@ def test_latency_margin_is_that_of_flights(turn):
     margin = turn.formation.margins(0, ROLL).latency_s
     assert 0.2 < margin < 0.8
     for factor, grows in ((0.93, False), (1.07, True)):
-        response = np.abs(turn.respond(0, 750, latency_s=factor * margin)[:, 0, 0])
-        assert (response[-150:].max() > response[200:350].max()) is grows
+        response = np.abs(turn.respond(0, 500, latency_s=factor * margin)[:, 0, 0])
+        assert bool(response[-100:].max() > response[150:250].max()) is grows
 
 
 def test_gain_margin_is_that_of_flights(turn):
@@ -117,35 +122,13 @@ def test_gain_margin_is_that_of_flights(turn):
     margin = turn.formation.margins(0, ROLL).gain
     assert 2.0 < margin < 8.0
     for factor, grows in ((0.93, False), (1.07, True)):
-        response = np.abs(turn.respond(0, 750, gain=factor * margin)[:, 0, 0])
-        assert (response[-150:].max() > response[200:350].max()) is grows
+        response = np.abs(turn.respond(0, 500, gain=factor * margin)[:, 0, 0])
+        assert bool(response[-100:].max() > response[150:250].max()) is grows
 
 
 def test_phase_margin_and_distance_are_those_of_the_loop(turn):
-    """At the crossing with the least phase |L| is 1; the distance is no larger than its chord."""
+    """At the crossing with the least phase |L| is 1; the distance is not larger than these two."""
     margins = turn.formation.margins(0, ROLL)
     chord = 2.0 * math.sin(0.5 * math.radians(margins.phase_deg))
     assert margins.distance <= chord + 1e-3
-    assert 1.0 - margins.distance <= 1.0 / margins.gain <= 1.0
-
-
-def test_delay_margin_of_messages_is_that_of_flights():
-    """Where followers form a circle and extrapolate from time stamps, a delay destabilises them."""
-    stamped = "controller.extrapolate_from=timestamp"
-    flight, _ = begin("simulation-1", 0.0, stamped)
-    margin = message_delay_margin(linearise(flight))
-    assert 0.5 < margin < 2.0
-    for factor, grows in ((0.93, False), (1.07, True)):
-        delay = round(factor * margin / 0.04) * 0.04
-        delayed, start = begin("simulation-1", 0.0, stamped, f"network.delay_s={delay:.2f}")
-        kick = np.zeros((3, 3))
-        kick[0, ROLL] = math.radians(0.1)
-        still = delayed.respond(start, 2500)
-        error = np.abs(delayed.respond(start, 2500, kick) - still)[:, :, 3].max(axis=1)
-        assert (error[-500:].max() > error[750:1250].max()) is grows
-
-
-def test_no_delay_matters_without_a_circle():
-    """In Simulation 3 nobody receives from those that receive from it."""
-    flight, _ = begin("simulation-3", 0.0, "controller.extrapolate_from=timestamp")
-    assert message_delay_margin(linearise(flight)) == math.inf
+    assert margins.distance <= 1.0 - 1.0 / margins.gain + 1e-3
