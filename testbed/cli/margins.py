@@ -1,7 +1,8 @@
-"""The command that measures damping and margins of a formation: margins."""
+"""The command that finds damping and margins of a formation: margins."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated
 
@@ -29,6 +30,7 @@ from testbed.core.numbers import parse_number
 
 if TYPE_CHECKING:
     from testbed.trials.margins import FollowerMargins, Margins
+    from testbed.trials.predicted_margins import Prediction
 
 
 def _read_banks(parameter: typer.CallbackParam, text: str) -> str:
@@ -52,46 +54,104 @@ def margins_command(
         ),
     ] = "0,30,45",
     overrides: Overrides = None,
+    flown: Annotated[
+        bool,
+        typer.Option("--flown", help="Measure by kicks in flight as well, as the last text says."),
+    ] = False,
     jobs: Jobs = None,
     json: JsonFile = None,
 ) -> None:
-    """Measure the damping and the margins of a formation by small kicks in steady flight.
+    """Find the damping and the margins of a formation in steady flight.
 
     The followers fly behind a virtual leader at the speed of the scenario's, straight or in level
     circles in both directions, with the scenario's controller, network and latencies, but in still
     air, without faults and with exact estimates.
 
-    The least damped oscillation (frequency, damping ratio) is that of bank and pitch after a kick
-    of 1° of one follower's commands. A displacement of 1 m to the right and down has settled when
-    5 % of it are left. The largest factor and the largest additional latency of one follower's roll
-    command are those with which oscillations still decay. Of both directions each number is the
-    worse one.
+    There the control period of each follower is linearised. Least damped is the oscillation with
+    the lowest damping ratio. The margins are those of one command of one follower: the factor at
+    which oscillations no longer decay, the additional latency, the phase, and the distance, the
+    least of |1 + L| of the open loop L. Of both directions each number is the worse one.
+
+    With --flown the same is measured: the least damped oscillation of bank and pitch after a kick
+    of 1° of one follower's commands; when 5 % are left of a displacement of 1 m to the right and
+    down; the largest factor and the largest additional latency of one follower's roll command with
+    which oscillations still decay.
     """
     from testbed.cli.progress import progress_counter
     from testbed.studies.flight_pool import open_flight_pool
-    from testbed.studies.margins import margins_of, to_document
+    from testbed.studies.margins import margins_of, predicted_margins_of, to_document
 
     loaded = load_scenario(scenario, overrides)
     banks = [float(part.strip()) for part in dict.fromkeys(bank.split(","))]
+    cases = [(loaded, each) for each in banks]
     messages = message_console()
+    measured: Sequence[Margins] = ()
     with (
         error_places(scenario, overrides),
         open_flight_pool(jobs=jobs, report=lambda text: messages.write_line(f" {text}")) as pool,
-        progress_counter("steady flights") as progress,
     ):
-        found = margins_of([(loaded, each) for each in banks], pool, progress)
-    write_json_output(json, to_document(loaded, found))
+        with progress_counter("linearised flights") as progress:
+            predicted = predicted_margins_of(cases, pool, progress)
+        if flown:
+            with progress_counter("steady flights") as progress:
+                measured = margins_of(cases, pool, progress)
+    write_json_output(json, to_document(loaded, predicted, measured))
     console = result_console(json)
     console.write_line(
         Text.assemble(" ", (loaded.name, "bold"), f" · profile {loaded.controller.profile}")
     )
     console.write_line()
-    if any(each.followers for each in found):
-        console.print_table(_table(found))
-    for each in found:
-        for text, style in ((each.problem, "yellow"), (each.note, "")):
+    if any(each.followers for each in predicted):
+        console.print_table(_predicted_table(predicted))
+    for each in predicted:
+        if each.problem:
+            console.write_line(f" at {each.bank_deg:g}°: {each.problem}", "yellow")
+    if not flown:
+        return
+    console.write_line()
+    if any(each.followers for each in measured):
+        console.print_table(_table(measured))
+    for one in measured:
+        for text, style in ((one.problem, "yellow"), (one.note, "")):
             if text:
-                console.write_line(f" at {each.bank_deg:g}°: {text}", style)
+                console.write_line(f" at {one.bank_deg:g}°: {text}", style)
+
+
+def _predicted_table(found: Sequence[Prediction]) -> Table:
+    from testbed.trials.linear_formation import MAX_GAIN, MAX_LATENCY_S
+
+    table = ruled_table()
+    table.add_column(Text("\nfollower", style="bold"), no_wrap=True)
+    for name in ("bank\n°", "least\ndamped, Hz", "damp.\nratio"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("\ncommand", no_wrap=True)
+    for name in ("\nfactor", "latency\ns", "phase\n°", "dis-\ntance"):
+        table.add_column(name, justify="right", no_wrap=True)
+
+    def limited(value: float, largest: float, digits: int) -> str:
+        return f"{value:.{digits}f}" if math.isfinite(value) else f"> {largest:g}"
+
+    for at in found:
+        for each in at.followers:
+            mode = each.least_damped
+            first = (
+                each.name,
+                f"{each.bank_deg:.1f}",
+                MISSING if mode is None else f"{mode.frequency_hz:.2f} {mode.motion}",
+                MISSING if mode is None else f"{mode.damping:.3f}",
+            )
+            for number, (name, margins) in enumerate(each.commands.items()):
+                last = each is at.followers[-1] and number == len(each.commands) - 1
+                table.add_row(
+                    *(first if number == 0 else ("", "", "", "")),
+                    name,
+                    limited(margins.gain, MAX_GAIN, 2),
+                    limited(margins.latency_s, MAX_LATENCY_S, 3),
+                    limited(margins.phase_deg, 180.0, 0),
+                    f"{margins.distance:.2f}",
+                    end_section=last,
+                )
+    return table
 
 
 def _table(found: Sequence[Margins]) -> Table:

@@ -1,21 +1,39 @@
-"""Margins of a scenario's followers at several banks, measured by the workers of a pool."""
+"""Margins of a scenario's followers at several banks, found by the workers of a pool."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 from testbed.core.errors import InputError
 from testbed.scenario import Scenario
 from testbed.studies.flight_pool import FlightPool
 from testbed.studies.flight_task import COMPLETED, FlightTask
+from testbed.trials.linear_formation import CommandMargins, Mode
 from testbed.trials.margins import Margins, directions, measure_margins, worse_of
+from testbed.trials.predicted_margins import Prediction, predict_margins, worse_prediction
+
+T = TypeVar("T")
+
+
+def _predict(bank_deg: float, scenario: Scenario) -> dict[str, Any]:
+    return {"margins": predict_margins(scenario, bank_deg)}
 
 
 def _measure(bank_deg: float, scenario: Scenario) -> dict[str, Any]:
     return {"margins": measure_margins(scenario, bank_deg)}
+
+
+def predicted_margins_of(
+    cases: Sequence[tuple[Scenario, float]],
+    pool: FlightPool,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> list[Prediction]:
+    """Predict the margins of scenarios at banks; see `margins_of`."""
+    return _of_both_directions(cases, pool, progress, _predict, worse_prediction)
 
 
 def margins_of(
@@ -33,24 +51,60 @@ def margins_of(
     Raises:
         InputError: something cannot be measured.
     """
+    return _of_both_directions(cases, pool, progress, _measure, worse_of)
+
+
+def _of_both_directions(
+    cases: Sequence[tuple[Scenario, float]],
+    pool: FlightPool,
+    progress: Callable[[int, int], None],
+    measure: Callable[[float, Scenario], dict[str, Any]],
+    worse: Callable[[Sequence[T]], T],
+) -> list[T]:
     parts = [(i, bank) for i, (_, of) in enumerate(cases) for bank in directions(of)]
 
     def tasks() -> Iterator[FlightTask]:
         for number, (i, bank) in enumerate(parts):
-            yield FlightTask(number, cases[i][0], measure=partial(_measure, bank))
+            yield FlightTask(number, cases[i][0], measure=partial(measure, bank))
 
-    found: dict[int, Margins] = {}
+    found: dict[int, T] = {}
     for result in pool.run(tasks()):
         if result.outcome != COMPLETED or result.metrics is None:
             raise InputError(result.error.removeprefix("invalid: "))
         found[result.number] = result.metrics["margins"]
         progress(len(found), len(parts))
     return [
-        worse_of([found[number] for number, part in enumerate(parts) if part[0] == i])
+        worse([found[number] for number, part in enumerate(parts) if part[0] == i])
         for i in range(len(cases))
     ]
 
 
-def to_document(scenario: Scenario, found: Sequence[Margins]) -> dict[str, Any]:
-    """Return margins as plain data for JSON."""
-    return {"schema": 1, "scenario": scenario.name, "banks": [asdict(each) for each in found]}
+def to_document(
+    scenario: Scenario, predicted: Sequence[Prediction], flown: Sequence[Margins] = ()
+) -> dict[str, Any]:
+    """Return margins as plain data for JSON; what is beyond the largest value tried is null."""
+    return {
+        "schema": 2,
+        "scenario": scenario.name,
+        "predicted": [_plain(asdict(each)) for each in predicted],
+        **({"flown": [asdict(each) for each in flown]} if flown else {}),
+    }
+
+
+def _plain(value: Any) -> Any:  # noqa: ANN401
+    """Return a value as JSON has it."""
+    if isinstance(value, dict):
+        return {name: _plain(each) for name, each in value.items()}
+    if isinstance(value, Mode):
+        return {
+            "frequency_hz": value.frequency_hz,
+            "damping": value.damping,
+            "pole_per_s": [value.pole.real, value.pole.imag],
+            "follower": value.follower,
+            "motion": value.motion,
+        }
+    if isinstance(value, CommandMargins):
+        return _plain(value._asdict())
+    if isinstance(value, list | tuple):
+        return [_plain(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

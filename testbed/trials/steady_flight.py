@@ -94,12 +94,13 @@ def _leader_speed(scenario: Scenario) -> float | None:
     return getattr(path, "airspeed_mps", None) or getattr(path, "speed_mps", None)
 
 
-def steady_scenario(scenario: Scenario, bank_deg: float) -> Scenario:
+def steady_scenario(scenario: Scenario, bank_deg: float, engine: str = "jsbsim") -> Scenario:
     """Return a scenario's formation behind a virtual leader in level flight.
 
     Args:
         scenario: as resolved; see `check_measurable`.
         bank_deg: of a coordinated turn of the outermost slot, clockwise if positive; 0: straight.
+        engine: of the flight models; JSBSim can move aircraft in flight.
     """
     speed = _leader_speed(scenario)
     assert speed is not None
@@ -124,8 +125,7 @@ def steady_scenario(scenario: Scenario, bank_deg: float) -> Scenario:
         for key in ("sensors", "faults", "commanded_by"):
             each.pop(key, None)
         each["start_m"] = scenario.formation.offsets_m[each["name"]]
-    # JSBSim moves aircraft in flight
-    data["scenario"] |= {"windows": {}, "published": None, "engine": "jsbsim"}
+    data["scenario"] |= {"windows": {}, "published": None, "engine": engine}
     data["scenario"]["duration_s"] = LONGEST_SETTLE_S + LONG_RECORD_S + 1.0
     return Scenario.model_validate(data)
 

@@ -118,7 +118,7 @@ def _place_row(folder: Path, start: InitialState, origin: NedOrigin, rate_hz: in
     return PlacedRow(aircraft.row_of(placed.model), placed.trim, placed.leads)
 
 
-class _Kind(NamedTuple):
+class CompiledRows(NamedTuple):
     """The aircraft of one kind.
 
     Attributes:
@@ -160,25 +160,30 @@ class CompiledFleet(FlightModels):
             _place_row(each.folder, start, origin, base_rate_hz)
             for each, start in zip(aircraft, starts, strict=True)
         ]
-        self._dt, self._kinds = 1.0 / base_rate_hz, list[_Kind]()
+        self._dt, self._kinds = 1.0 / base_rate_hz, list[CompiledRows]()
         for kind in dict.fromkeys(aircraft):
             which = np.array([i for i, each in enumerate(aircraft) if each is kind])
             state = np.zeros((n, len(kind.columns)))
             state[which] = [placed[i].row for i in which.tolist()]
-            self._kinds.append(_Kind(kind, which, state))
+            self._kinds.append(CompiledRows(kind, which, state))
         self._status = np.zeros(n, dtype=np.uint8)
         self._steps = np.ones(1, dtype=np.intp)
         trims, leads = [each.trim for each in placed], [each.leads for each in placed]
         super().__init__(folders, starts, origin, trims, leads)
 
-    def _run_arguments(self, kind: _Kind, which: Indices, steps: Indices) -> tuple[Any, ...]:
+    @property
+    def kinds(self) -> tuple[CompiledRows, ...]:
+        """The aircraft of each kind, with the rows of their states."""
+        return tuple(self._kinds)
+
+    def _run_arguments(self, kind: CompiledRows, which: Indices, steps: Indices) -> tuple[Any, ...]:
         """Return the arguments of `run_rows` for some aircraft (K,) of a kind."""
         inputs = self._wind_numbers, self._controls, self._first_controls, self._changed
         return (kind.state, *inputs, self._dt, steps, which, self._status)
 
     def move_steps(self, move: Move) -> tuple[Step, ...]:
         """See `FlightModels`."""
-        leads = self._controls, self._lead, self._last_controls, self._first_controls
+        leads = self._controls, self._lead, self.last_controls, self._first_controls
         motion = self._numbers, self._frame, self.aircraft
         run, write = list[Call](), list[Call]()
         for each in self._kinds:

@@ -193,7 +193,7 @@ class FlightModels:
         self._numbers = np.empty((n, len(MOTION_PROPERTIES)))
         self._air_numbers = np.full((n, len(AIR_PROPERTIES) + len(BATTERY_PROPERTIES)), np.nan)
         self._wind_numbers, self._controls = np.zeros((n, _WIND)), np.zeros((n, 4))
-        self._first_controls, self._last_controls = np.zeros((n, 4)), np.zeros((n, 4))
+        self._first_controls, self.last_controls = np.zeros((n, 4)), np.zeros((n, 4))
         self._lead = np.stack(leads)
         self.all_rows = np.arange(n)
         self._stopped: BoolArray = np.zeros(n, dtype=bool)
@@ -204,7 +204,7 @@ class FlightModels:
         self._without_air = np.isnan(self._air_numbers)  # as of aircraft without a propeller
         self.write_surfaces(0.0)
         self._changed[:] = False
-        self._last_controls[:] = self._controls
+        self.last_controls[:] = self._controls
 
     def describe_engine(self) -> str:
         """Describe what steps the flight models, and why, in a line."""
@@ -220,7 +220,7 @@ class FlightModels:
         changed = self._changed
         self.write_wind = Call(pack_wind, rows, aircraft, self._wind_numbers, changed)
         self.write_surfaces = Call(pack_surfaces, rows, aircraft, self._controls, changed)
-        controls = self._controls, self._lead, self._last_controls, self._first_controls
+        controls = self._controls, self._lead, self.last_controls, self._first_controls
         self._lead_controls = bind_entry(lead_controls, *controls, like=(self.all_rows,))
         write_fields_at(aircraft, rows, "surfaces", self.trimmed)
         aircraft["wind"]["wind_ned"][rows] = self._start_winds
@@ -244,6 +244,11 @@ class FlightModels:
         return VehicleState(
             *(each[self.rows] for each in fields_of(VehicleState, self.aircraft["truth"]))
         )
+
+    def write_motion(self) -> None:
+        """Write the present motion of all models that have not stopped into the records."""
+        self._read_numbers(range(len(self._numbers)))
+        self._write_truth(self.all_rows)
 
     def read_air(self) -> None:
         """Write flow angles, propeller speeds and battery states of the models to the records."""

@@ -1,0 +1,179 @@
+"""A formation in steady flight in compiled code, from whose present any number of flights go on.
+
+Stages of the flight can hold and change the messages that followers use, and change, delay and add
+to their commands.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from testbed.core.records import Array, Records
+from testbed.core.saved_state import SavedState
+from testbed.flight.loop import Flight
+from testbed.flight.schedule import Clock
+from testbed.flight.stages import FlightRecords, UserStage
+from testbed.flight.steps import copy_truth
+from testbed.flight.vehicles import JsbsimVehicles
+from testbed.flight.world import World
+from testbed.formation.slots import write_formation_state
+from testbed.vehicle.compiled_fleet import CompiledFleet
+
+MESSAGE = ("position_ned", "velocity_ned", "acceleration_ned")  # of a follower's message, 3 each
+LEADER_MESSAGE = (*MESSAGE, "euler", "euler_rates")
+COMMANDS = ("pitch", "roll", "throttle")
+KICK_S = 0.2
+
+
+class Inputs:
+    """Changes of the followers' messages and commands.
+
+    Attributes:
+        held: (n, N) of LINK, the messages that are used; None: those that arrive.
+        messages: (n, N, 15) added to the fields of LEADER_MESSAGE of the held ones, NED.
+        added: (Q, n, 3) added to the commands in each of the Q periods of the autopilots in a
+            control period.
+        gain: (n, 3) factor of the commands' deviations from the steady ones.
+        latency_s: (n, 3) of the commands, additional.
+        computed: (n, 3) commands of the last control step, before all this.
+    """
+
+    CONSTANT = True  # no state of the flight
+
+    def __init__(self, n: int, clock: Clock) -> None:
+        """Start without changes."""
+        self.held: Records | None = None
+        self.messages = np.zeros((n, n + 1, 3 * len(LEADER_MESSAGE)))
+        self._rate_hz = clock.base_rate_hz / clock.autopilot
+        self.added = np.zeros((clock.control // clock.autopilot, n, 3))
+        self.computed = np.zeros((n, 3))
+        self.gain, self.latency_s = np.ones((n, 3)), np.zeros((n, 3))
+        self._control_s, self._period = 0.0, 0
+        self._steady: Array | None = None
+        self._line = np.zeros((1, n, 3))
+        self._late = np.zeros((n, 3))
+
+    def begin(self) -> None:
+        """Begin a flight with this gain and latency at the present, steady commands."""
+        self._steady = self.computed.copy()
+        self._late = self.latency_s * self._rate_hz
+        self._line = np.repeat(self._steady[np.newaxis], int(self._late.max()) + 2, axis=0)
+
+    def end(self) -> None:
+        """Take all changes away."""
+        self.held, self._steady = None, None
+        self.messages[:] = self.added[:] = self.latency_s[:] = 0.0
+        self.gain[:] = 1.0
+
+    def stages(self) -> tuple[UserStage, ...]:
+        """Return the stages of the flight that make the changes."""
+        return (
+            UserStage("hold messages", "deliver messages", self._hold),
+            UserStage("change commands", "give commands to autopilots", self._compute),
+            UserStage("change commands", "copy the truth to the estimates", self._command),
+        )
+
+    def _hold(self, now: float, records: FlightRecords) -> None:
+        if self.held is not None:
+            for k, name in enumerate(LEADER_MESSAGE):
+                part = self.messages[:, :, 3 * k : 3 * k + 3]
+                records.links[name] = self.held[name] + part
+
+    def _compute(self, now: float, records: FlightRecords) -> None:
+        for k, name in enumerate(COMMANDS):
+            self.computed[:, k] = records.aircraft["control"][name][1:]
+        self._control_s, self._period = now, -1
+        self._command(now, records)
+
+    def _command(self, now: float, records: FlightRecords) -> None:
+        """Write the commands of a period of the autopilots, after the control step of the tick."""
+        period = int((now - self._control_s) * self._rate_hz + 1e-6)
+        if period == self._period or period >= len(self.added):
+            return
+        self._period, own = period, records.aircraft[1:]
+        commands = self.computed
+        if self._steady is not None:
+            commands = self._steady + self.gain * (self._delayed() - self._steady)
+        commands = commands + self.added[period]
+        for k, name in enumerate(COMMANDS):
+            own["command"][name] = commands[:, k]
+
+    def _delayed(self) -> Array:
+        line = self._line
+        line[1:] = line[:-1].copy()
+        line[0] = self.computed
+        whole = self._late.astype(int)
+        rows, columns = np.indices(self._late.shape)
+        sooner, later = line[whole, rows, columns], line[whole + 1, rows, columns]
+        delayed: Array = sooner + (self._late - whole) * (later - sooner)
+        return delayed
+
+
+class HeldFlight:
+    """A flight of a world of `steady_scenario` whose flight models are compiled.
+
+    Attributes:
+        inputs: changes of messages and commands.
+        dt: s, control period.
+    """
+
+    def __init__(self, world: World) -> None:
+        """Begin the flight."""
+        assert isinstance(world.fleet, CompiledFleet), "of `steady_scenario`"
+        self.world, self.fleet = world, world.fleet
+        [self.vehicles] = [each for each in world.vehicles if isinstance(each, JsbsimVehicles)]
+        self.inputs = Inputs(len(world.followers), world.clock)
+        self._flight = Flight(world, [], self.inputs.stages())
+        self._flight.prepare()
+        self._flight.fly_to(-math.inf)
+        self.dt = world.clock.control / world.clock.base_rate_hz
+
+    @property
+    def time_s(self) -> float:
+        """Time of the tick before whose control the flight waits, s."""
+        return self._flight.time_s
+
+    def fly_to(self, until_s: float) -> None:
+        """Fly on to a tick."""
+        self._flight.fly_to(until_s)
+
+    def save(self) -> SavedState:
+        """Save the present, without the changes of inputs."""
+        return SavedState(flight=self._flight)
+
+    def write_motion(self) -> None:
+        """Write the motion of the flight models into the records, as at the end of a tick."""
+        self.fleet.write_motion()
+        copy_truth(self.world.aircraft)
+
+    def write_errors(self) -> None:
+        """Write slots and errors of the present motion."""
+        world = self.world
+        slots = world.formation.control.offsets, world.formation.altitudes
+        write_formation_state(world.aircraft, world.followers, *slots)
+
+    def respond(self, present: SavedState, periods: int, kick: Array | None = None) -> Array:
+        """Fly on from a saved present with this gain and latency, and a kick of the commands.
+
+        Args:
+            present: of `save`.
+            periods: K of control.
+            kick: (n, 3) added to the commands for KICK_S.
+
+        Returns:
+            (K, n, 5): roll and pitch, rad, and slot errors north, east and down, m.
+        """
+        present.restore()
+        inputs, world = self.inputs, self.world
+        inputs.begin()
+        rows = np.empty((periods, len(world.followers), 5))
+        begin = round(self.time_s / self.dt)
+        for k in range(periods):
+            self.write_errors()
+            rows[k, :, :2] = world.aircraft["truth"]["euler"][1:, :2]
+            rows[k, :, 2:] = world.followers["error_ned"]
+            inputs.added[:] = kick if kick is not None and k * self.dt < KICK_S - 1e-9 else 0.0
+            self.fly_to((begin + k + 1) * self.dt)
+        return rows

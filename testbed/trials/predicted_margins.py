@@ -1,0 +1,166 @@
+"""Damping and margins of the followers in steady flight, from the linearised formation.
+
+The flight is that of `steady_flight`, with compiled flight models. What it predicts is compared
+with flights in docs/formation.md.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from testbed.plan.world import build
+from testbed.scenario import Scenario
+from testbed.trials.held_flight import COMMANDS, HeldFlight
+from testbed.trials.linear_formation import (
+    CommandMargins,
+    LinearFormation,
+    Mode,
+    join,
+)
+from testbed.trials.period_map import PeriodMaps, linearise_periods
+from testbed.trials.steady_flight import (
+    LONGEST_SETTLE_S,
+    LOOK_S,
+    SETTLE_S,
+    STEADY_DEG,
+    check_measurable,
+    steady_scenario,
+)
+
+BANK_TOLERANCE_DEG = 0.5  # between the bank that is asked for and the highest one flown
+AIRSPEED_S = 0.1  # period of the autopilots' airspeed filters
+
+
+@dataclass(frozen=True, slots=True)
+class PredictedMargins:
+    """Modes and margins of one follower.
+
+    Attributes:
+        name: of the follower.
+        bank_deg: as flown.
+        least_damped: of the modes that oscillate; None: nothing does.
+        commands: margins by the name of the command: pitch, roll, throttle.
+    """
+
+    name: str
+    bank_deg: float
+    least_damped: Mode | None
+    commands: dict[str, CommandMargins]
+
+
+@dataclass(frozen=True, slots=True)
+class Prediction:
+    """The followers at one bank.
+
+    Attributes:
+        bank_deg: asked for, of the follower that banks most; clockwise if positive.
+        followers: empty where there is a problem.
+        problem: why there are no numbers; "": there are.
+    """
+
+    bank_deg: float
+    followers: tuple[PredictedMargins, ...]
+    problem: str
+
+
+def predict_margins(scenario: Scenario, bank_deg: float) -> Prediction:
+    """Linearise the followers of a scenario in steady flight, in one direction of turn.
+
+    Args:
+        scenario: whose formation, network and controller they have.
+        bank_deg: the highest of a follower; clockwise if positive; 0: straight.
+
+    Raises:
+        MarginsError: the scenario cannot be flown so; see `check_measurable`.
+        InputError: an aircraft has no compiled flight model.
+    """
+    check_measurable(scenario)
+    flight, problem = _fly_steadily(scenario, bank_deg)
+    if problem:
+        return Prediction(bank_deg, (), problem)
+    formation = join(linearise(flight))
+    banks = np.degrees(flight.world.aircraft["truth"]["euler"][1:, 0])
+    followers = tuple(
+        PredictedMargins(
+            name,
+            float(banks[i]),
+            _least_damped(formation, i),
+            {each: formation.margins(i, k) for k, each in enumerate(COMMANDS)},
+        )
+        for i, name in enumerate(formation.names)
+    )
+    return Prediction(bank_deg, followers, "")
+
+
+def worse_prediction(turns: Sequence[Prediction]) -> Prediction:
+    """Return the worse numbers of each follower in both directions, and its higher bank."""
+    problems = dict.fromkeys(each.problem for each in turns if each.problem)
+    if problems:
+        return Prediction(abs(turns[0].bank_deg), (), "; ".join(problems))
+    followers = tuple(
+        _worse_of(pair) for pair in zip(*(each.followers for each in turns), strict=True)
+    )
+    return Prediction(abs(turns[0].bank_deg), followers, "")
+
+
+def _worse_of(pair: Sequence[PredictedMargins]) -> PredictedMargins:
+    modes = [each.least_damped for each in pair if each.least_damped is not None]
+    commands = {}
+    for name in COMMANDS:
+        gains, least, latencies, phases, distances = zip(
+            *(each.commands[name] for each in pair), strict=True
+        )
+        commands[name] = CommandMargins(
+            min(gains), max(least), min(latencies), min(phases), min(distances)
+        )
+    return PredictedMargins(
+        pair[0].name,
+        max((each.bank_deg for each in pair), key=abs),
+        min(modes, key=lambda mode: mode.damping, default=None),
+        commands,
+    )
+
+
+def linearise(flight: HeldFlight) -> PeriodMaps:
+    """Linearise a steady flight over the periods after which it repeats."""
+    clock = flight.world.clock
+    airspeed = round(AIRSPEED_S * clock.base_rate_hz)
+    ticks = math.lcm(clock.period, airspeed)
+    return linearise_periods(flight, ticks // clock.control)
+
+
+def _least_damped(formation: LinearFormation, follower: int) -> Mode | None:
+    own = formation.of(follower).modes()
+    return next((mode for mode in own if mode.frequency_hz > 0.0), None)
+
+
+def _fly_steadily(scenario: Scenario, bank_deg: float) -> tuple[HeldFlight, str]:
+    """Fly until the highest bank of a follower is the one asked for, and say what is not steady."""
+    flight, problem = _settle(scenario, bank_deg)
+    banks = np.degrees(flight.world.aircraft["truth"]["euler"][1:, 0])
+    excess = float(np.abs(banks).max() - abs(bank_deg))
+    if bank_deg and abs(excess) > BANK_TOLERANCE_DEG and math.isfinite(excess):
+        corrected = math.copysign(max(abs(bank_deg) - excess, 1.0), bank_deg)
+        flight, problem = _settle(scenario, corrected)
+    return flight, problem
+
+
+def _settle(scenario: Scenario, bank_deg: float) -> tuple[HeldFlight, str]:
+    flight = HeldFlight(build(steady_scenario(scenario, bank_deg, "compiled")))
+    moved_deg = np.array([math.inf])
+    while flight.time_s < LONGEST_SETTLE_S and not moved_deg.max() < STEADY_DEG:
+        flight.fly_to(flight.time_s + SETTLE_S - LOOK_S)
+        banks = []
+        for _ in range(round(LOOK_S / flight.dt)):
+            flight.fly_to(flight.time_s + flight.dt)
+            banks.append(flight.world.aircraft["truth"]["euler"][1:, 0].copy())
+        moved_deg = np.degrees(np.ptp(np.array(banks), axis=0))
+    if moved_deg.max() < STEADY_DEG:
+        return flight, ""
+    worst = int(np.nan_to_num(moved_deg, nan=np.inf).argmax())
+    name = flight.world.names[1 + worst]
+    return flight, f"not steady: the bank of {name} still changes by {moved_deg[worst]:.1f}°"
