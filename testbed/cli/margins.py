@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -33,6 +34,14 @@ if TYPE_CHECKING:
     from testbed.trials.predicted_margins import Prediction
 
 
+class Method(StrEnum):
+    """How margins are found."""
+
+    PREDICTED = "predicted"
+    FLOWN = "flown"
+    BOTH = "both"
+
+
 def _read_banks(parameter: typer.CallbackParam, text: str) -> str:
     """Check the banks of --bank; a typer callback."""
     for part in text.split(","):
@@ -54,10 +63,13 @@ def margins_command(
         ),
     ] = "0,30,45",
     overrides: Overrides = None,
-    flown: Annotated[
-        bool,
-        typer.Option("--flown", help="Measure by kicks in flight as well, as the last text says."),
-    ] = False,
+    method: Annotated[
+        Method,
+        typer.Option(
+            help="Predict the numbers from the linearised formation, measure them by kicks in "
+            "flight, or do both."
+        ),
+    ] = Method.PREDICTED,
     jobs: Jobs = None,
     json: JsonFile = None,
 ) -> None:
@@ -72,7 +84,7 @@ def margins_command(
     which oscillations no longer decay, the additional latency, the phase, and the distance, the
     least of |1 + L| of the open loop L. Of both directions each number is the worse one.
 
-    With --flown the same is measured: the least damped oscillation of bank and pitch after a kick
+    Measured are: the least damped oscillation of bank and pitch after a kick
     of 1° of one follower's commands; when 5 % are left of a displacement of 1 m to the right and
     down; the largest factor and the largest additional latency of one follower's roll command with
     which oscillations still decay.
@@ -85,14 +97,16 @@ def margins_command(
     banks = [float(part.strip()) for part in dict.fromkeys(bank.split(","))]
     cases = [(loaded, each) for each in banks]
     messages = message_console()
+    predicted: Sequence[Prediction] = ()
     measured: Sequence[Margins] = ()
     with (
         error_places(scenario, overrides),
         open_flight_pool(jobs=jobs, report=lambda text: messages.write_line(f" {text}")) as pool,
     ):
-        with progress_counter("linearised flights") as progress:
-            predicted = predicted_margins_of(cases, pool, progress)
-        if flown:
+        if method is not Method.FLOWN:
+            with progress_counter("linearised flights") as progress:
+                predicted = predicted_margins_of(cases, pool, progress)
+        if method is not Method.PREDICTED:
             with progress_counter("steady flights") as progress:
                 measured = margins_of(cases, pool, progress)
     write_json_output(json, to_document(loaded, predicted, measured))
@@ -106,9 +120,8 @@ def margins_command(
     for each in predicted:
         if each.problem:
             console.write_line(f" at {each.bank_deg:g}°: {each.problem}", "yellow")
-    if not flown:
-        return
-    console.write_line()
+    if predicted and measured:
+        console.write_line()
     if any(each.followers for each in measured):
         console.print_table(_table(measured))
     for one in measured:

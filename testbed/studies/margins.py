@@ -80,13 +80,13 @@ def _of_both_directions(
 
 
 def to_document(
-    scenario: Scenario, predicted: Sequence[Prediction], flown: Sequence[Margins] = ()
+    scenario: Scenario, predicted: Sequence[Prediction], flown: Sequence[Margins]
 ) -> dict[str, Any]:
     """Return margins as plain data for JSON; what is beyond the largest value tried is null."""
     return {
         "schema": 2,
         "scenario": scenario.name,
-        "predicted": [_plain(asdict(each)) for each in predicted],
+        **({"predicted": [_plain(asdict(each)) for each in predicted]} if predicted else {}),
         **({"flown": [asdict(each) for each in flown]} if flown else {}),
     }
 

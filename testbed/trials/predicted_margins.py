@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from testbed.flight.world import World
 from testbed.plan.world import build
 from testbed.scenario import Scenario
 from testbed.trials.held_flight import COMMANDS, HeldFlight
@@ -27,6 +28,7 @@ from testbed.trials.steady_flight import (
     LOOK_S,
     SETTLE_S,
     STEADY_DEG,
+    MarginsError,
     check_measurable,
     steady_scenario,
 )
@@ -75,7 +77,7 @@ def predict_margins(scenario: Scenario, bank_deg: float) -> Prediction:
         bank_deg: the highest of a follower; clockwise if positive; 0: straight.
 
     Raises:
-        MarginsError: the scenario cannot be flown so; see `check_measurable`.
+        MarginsError: the scenario cannot be flown so, see `check_measurable`, or not linearised.
         InputError: an aircraft has no compiled flight model.
     """
     check_measurable(scenario)
@@ -149,8 +151,31 @@ def _fly_steadily(scenario: Scenario, bank_deg: float) -> tuple[HeldFlight, str]
     return flight, problem
 
 
+def _check_linearisable(world: World) -> None:
+    """Check that the state of the followers is known, and the same at each control step.
+
+    Raises:
+        MarginsError: it is not; with what to write.
+    """
+    clock, formation = world.clock, world.formation
+    phases = {*clock.control_phases, *clock.broadcast_phases}
+    if not formation.built_control.builtin:
+        problem = "a law of your own has a state that is not known"
+    elif formation.companions is not None:
+        problem = "companion computers hold commands back"
+    elif phases != {0} or clock.broadcast != clock.control:
+        problem = "messages are not sent at each control step"
+    elif world.is_random:
+        problem = "the network is random"
+    else:
+        return
+    raise MarginsError(f"{problem}, so margins cannot be predicted (write --method flown)")
+
+
 def _settle(scenario: Scenario, bank_deg: float) -> tuple[HeldFlight, str]:
-    flight = HeldFlight(build(steady_scenario(scenario, bank_deg, "compiled")))
+    world = build(steady_scenario(scenario, bank_deg, "compiled"))
+    _check_linearisable(world)
+    flight = HeldFlight(world)
     moved_deg = np.array([math.inf])
     while flight.time_s < LONGEST_SETTLE_S and not moved_deg.max() < STEADY_DEG:
         flight.fly_to(flight.time_s + SETTLE_S - LOOK_S)
