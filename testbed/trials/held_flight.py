@@ -27,7 +27,7 @@ COMMANDS = ("pitch", "roll", "throttle")
 KICK_S = 0.2
 
 
-class Inputs:
+class InputChanges:
     """Changes of the followers' messages and commands.
 
     Attributes:
@@ -124,7 +124,7 @@ class HeldFlight:
         assert isinstance(world.fleet, CompiledFleet), "of `steady_scenario`"
         self.world, self.fleet = world, world.fleet
         [self.vehicles] = [each for each in world.vehicles if isinstance(each, JsbsimVehicles)]
-        self.inputs = Inputs(len(world.followers), world.clock)
+        self.inputs = InputChanges(len(world.followers), world.clock)
         self._flight = Flight(world, [], self.inputs.stages())
         self._flight.prepare()
         self._flight.fly_to(-math.inf)

@@ -30,6 +30,7 @@ from testbed.trials.steady_flight import (
     STEADY_DEG,
     MarginsError,
     check_measurable,
+    check_roll_limits,
     steady_scenario,
 )
 
@@ -175,6 +176,7 @@ def _check_linearisable(world: World) -> None:
 def _settle(scenario: Scenario, bank_deg: float) -> tuple[HeldFlight, str]:
     world = build(steady_scenario(scenario, bank_deg, "compiled"))
     _check_linearisable(world)
+    check_roll_limits(world, abs(bank_deg))
     flight = HeldFlight(world)
     moved_deg = np.array([math.inf])
     while flight.time_s < LONGEST_SETTLE_S and not moved_deg.max() < STEADY_DEG:

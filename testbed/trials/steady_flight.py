@@ -163,8 +163,7 @@ class SteadyFlight:
         self._world = world = build(steady_scenario(scenario, bank_deg))
         self.names = world.names[1:]
         self.dt = world.clock.control / world.clock.base_rate_hz
-        self._limit_deg = _roll_limits_deg(world)
-        self._check_limits(abs(bank_deg))
+        self._limit_deg = check_roll_limits(world, abs(bank_deg))
         self._flight = Flight(world, [])
         self._flight.prepare()
         self._schedule = world.clock.schedule(world.duration_s)
@@ -180,15 +179,6 @@ class SteadyFlight:
         saturations = last[:, SATURATIONS].astype(int) & int(Saturation.THROTTLE)
         at_limit: BoolArray = np.any(saturations, axis=0)
         self.note = f"{self._join(at_limit)} at a limit of the throttle" if at_limit.any() else ""
-
-    def _check_limits(self, bank_deg: float) -> None:
-        low = int(self._limit_deg.argmin())
-        limit_deg = self._limit_deg[low]
-        if bank_deg > limit_deg - ROLL_RESERVE_DEG:
-            raise MarginsError(
-                f"a bank of {bank_deg:g}° is too near the limit of {self.names[low]}, "
-                f"{limit_deg:g}°, for kicks (write at most {limit_deg - ROLL_RESERVE_DEG:g})"
-            )
 
     def _find_problem(self, last: Array, moved_deg: Array) -> str:
         """Return why the last seconds of the flight are not steady; "": they are."""
@@ -256,14 +246,24 @@ class SteadyFlight:
         return np.concatenate((euler.T, followers["error_ned"].T, commanded))
 
 
-def _roll_limits_deg(world: World) -> Array:
-    """Return the limits (n,) of the followers' bank, of middle loop and autopilot."""
+def check_roll_limits(world: World, bank_deg: float) -> Array:
+    """Return the limits (n,) of the followers' bank, of middle loop and autopilot, degrees.
+
+    Raises:
+        MarginsError: a bank is too near one of them.
+    """
     [autopilots] = [
         each.autopilots.gains for each in world.vehicles if isinstance(each, JsbsimVehicles)
     ]
     followers = world.formation.built_control.config
-    limits: Array = np.minimum(followers.roll_limit, autopilots["roll_limit"])
-    return np.degrees(limits)
+    limits_deg: Array = np.degrees(np.minimum(followers.roll_limit, autopilots["roll_limit"]))
+    low = int(limits_deg.argmin())
+    if bank_deg > limits_deg[low] - ROLL_RESERVE_DEG:
+        raise MarginsError(
+            f"a bank of {bank_deg:g}° is too near the limit of {world.names[1 + low]}, "
+            f"{limits_deg[low]:g}°, for kicks (write at most {limits_deg[low] - ROLL_RESERVE_DEG:g})"
+        )
+    return limits_deg
 
 
 class _Disturbance:

@@ -159,7 +159,7 @@ class Mine:
     def step(self, now, own, inbox, memory):
         memory = memory + [0.04, 1.0]
         climb = 0.1 * np.sin(memory[:, 0]) - 0.001 * memory[:, 1]
-        return FbwaCommand(climb, self.roll * own.euler[:, 2], 0.4), memory
+        return FbwaCommand(climb, self.roll * own.euler[:, 2], np.full(len(climb), 0.4)), memory
 """
 FBWA_KERNEL = """memory.flown_s += 0.04
     memory.steps += 1

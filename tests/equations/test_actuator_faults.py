@@ -255,7 +255,13 @@ def _fault(kind, **keys):
 def test_fault_of_a_missing_part_is_an_error(geometry, fault, message):
     with pytest.raises(InputError, match=message):
         check_faults(
-            "uav1", "kite", geometry, 0, battery=False, faults=[_fault("engine-out"), fault]
+            "uav1",
+            "kite",
+            geometry,
+            0,
+            engine=True,
+            battery=False,
+            faults=[_fault("engine-out"), fault],
         )
 
 
@@ -263,6 +269,14 @@ def test_faults_of_existing_parts_pass():
     whole = [_fault("surface-stuck", surface=name) for name in SURFACES[:3]]
     # a floating aileron stays neutral, so its travel is not needed
     blind = tailed()._replace(up=np.full((1, 5), math.nan))
-    check_faults("uav1", "kite", tailed(), 0, battery=True, faults=[*whole, _fault("battery-low")])
+    check_faults(
+        "uav1",
+        "kite",
+        tailed(),
+        0,
+        engine=True,
+        battery=True,
+        faults=[*whole, _fault("battery-low")],
+    )
     loose = [_fault("surface-floating", surface="aileron")]
-    check_faults("uav1", "kite", blind, 0, battery=False, faults=loose)
+    check_faults("uav1", "kite", blind, 0, engine=True, battery=False, faults=loose)

@@ -270,22 +270,26 @@ def test_valid_command_is_unchanged(command):
         assert np.array_equal(ours, theirs) and ours.dtype == theirs.dtype
 
 
-def test_scalar_command_holds_for_all_followers():
-    found = validate_command(fbwa_command(roll=0, throttle=0.4), TWO, 1.0)
-    assert found.roll.tolist() == [0.0, 0.0] and found.throttle.tolist() == [0.4, 0.4]
+def test_command_of_integers_is_converted():
+    """Lists and integers become arrays of the right type; one flag stands for all followers."""
+    found = validate_command(fbwa_command(roll=[0, 1], throttle=[0.4, 0.4]), TWO, 1.0)
+    assert found.roll.tolist() == [0.0, 1.0] and found.throttle.tolist() == [0.4, 0.4]
     assert found.roll.dtype == np.float64 and found.roll.flags["C_CONTIGUOUS"]
-    found = validate_command(unicycle_command(direction=[1, 0, 0], limiter_flags=0), TWO, 1.0)
+    found = validate_command(unicycle_command(limiter_flags=0), TWO, 1.0)
     assert found.direction.shape == (2, 3) and found.limiter_flags.dtype == np.uint8
 
 
-SHAPED = r"is not an array of shape \(2,\) at 1\.5 s \(one row for each of uav1, uav2\)"
+ROWS = r"\(write an array of shape \(2,\), a row for each of uav1, uav2\)"
 WRONG = [
     (None, r"the law returned NoneType at 1\.5 s \(return a UnicycleCommand or an Fbwa"),
     ((0.0, 0.0, 0.4), r"the law returned tuple at"),
-    (fbwa_command(roll=np.zeros(3)), f"the law's roll {SHAPED}"),
-    (fbwa_command(pitch="up"), f"the law's pitch {SHAPED}"),
-    (fbwa_command(pitch=None), r"the law's pitch for uav1 is not a finite number at 1\.5 s"),
-    (fbwa_command(throttle=np.array([[0.4], [0.4]])), f"the law's throttle {SHAPED}"),
+    (fbwa_command(roll=np.zeros(3)), rf"the law's roll has shape \(3,\) at 1\.5 s {ROWS}"),
+    (fbwa_command(pitch="up"), rf"the law's pitch is no number at 1\.5 s {ROWS}"),
+    (fbwa_command(pitch=None), rf"the law's pitch is one number at 1\.5 s {ROWS}"),
+    (
+        fbwa_command(throttle=np.array([[0.4], [0.4]])),
+        rf"the law's throttle has shape \(2, 1\) at 1\.5 s {ROWS}",
+    ),
     (
         fbwa_command(roll=np.array([0.0, np.nan])),
         r"the law's roll for uav2 is not a finite number at",
@@ -296,7 +300,7 @@ WRONG = [
     ),
     (
         unicycle_command(omega=np.zeros(2)),
-        r"the law's omega is not an array of shape \(2, 3\) at 1\.5 s",
+        r"the law's omega has shape \(2,\) at 1\.5 s \(write an array of shape \(2, 3\)",
     ),
     (
         unicycle_command(omega=[[0, 0, 0], [0, 0, np.nan]]),
@@ -304,14 +308,17 @@ WRONG = [
     ),
     (
         unicycle_command(direction=np.zeros((3, 3))),
-        r"the law's direction is not an array of shape \(2, 3",
+        r"the law's direction has shape \(3, 3\) at 1\.5 s \(write an array of shape \(2, 3\)",
     ),
     (
         unicycle_command(speed=[22.0, float("inf")]),
         r"the law's speed for uav2 is not a finite number",
     ),
-    (unicycle_command(limiter_flags="many"), f"the law's limiter_flags {SHAPED}"),
-    (unicycle_command(limiter_flags=-1), f"the law's limiter_flags {SHAPED}"),
+    (
+        unicycle_command(limiter_flags="many"),
+        rf"the law's limiter_flags is no number at 1\.5 s {ROWS}",
+    ),
+    (unicycle_command(limiter_flags=-1), rf"the law's limiter_flags is no number at 1\.5 s {ROWS}"),
 ]
 
 

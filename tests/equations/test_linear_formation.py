@@ -126,7 +126,7 @@ def test_gain_margin_is_that_of_flights(turn):
         assert bool(response[-100:].max() > response[150:250].max()) is grows
 
 
-def test_phase_margin_and_distance_are_those_of_the_loop(turn):
+def test_phase_margin_and_distance_of_the_loop(turn):
     """At the crossing with the least phase |L| is 1; the distance is not larger than these two."""
     margins = turn.formation.margins(0, ROLL)
     chord = 2.0 * math.sin(0.5 * math.radians(margins.phase_deg))
