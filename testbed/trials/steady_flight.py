@@ -261,7 +261,8 @@ def check_roll_limits(world: World, bank_deg: float) -> Array:
     if bank_deg > limits_deg[low] - ROLL_RESERVE_DEG:
         raise MarginsError(
             f"a bank of {bank_deg:g}° is too near the limit of {world.names[1 + low]}, "
-            f"{limits_deg[low]:g}°, for kicks (write at most {limits_deg[low] - ROLL_RESERVE_DEG:g})"
+            f"{limits_deg[low]:g}°, for kicks (write at most "
+            f"{limits_deg[low] - ROLL_RESERVE_DEG:g})"
         )
     return limits_deg
 
