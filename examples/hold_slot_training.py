@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import gymnasium
@@ -128,14 +128,32 @@ def train(envs: ManyFlights, steps: int, seed: int) -> tuple[PPO, list[tuple[int
     return model, curve
 
 
-def draw(curve: Sequence[tuple[int, float]], file: str) -> None:
-    """Draw the mean slot error against the steps."""
+def draw(curve: Sequence[tuple[int, float]], means: Mapping[str, float], file: str) -> None:
+    """Draw the mean slot error against the steps, beside those of the comparison."""
     import matplotlib.pyplot as plt
 
     figure, axes = plt.subplots(figsize=(7, 4), layout="constrained")
-    axes.plot(*zip(*curve, strict=True), marker="o")
-    axes.set(xlabel="steps of 0.2 s", ylabel="mean slot error of an episode, m", ylim=(0.0, None))
+    hours, errors = zip(
+        *((steps * PERIOD_S / 3600.0, error) for steps, error in curve), strict=True
+    )
+    axes.plot(hours, errors, marker="o", color="#0072b2")
+    axes.annotate(
+        "policy, while it learns", (hours[1], errors[1]), (10.0, 4.0), textcoords="offset points"
+    )
+    for name, colour in (("trim", "#d55e00"), ("paper's law", "#009e73")):
+        axes.axhline(means[name], color=colour, dashes=(4, 3))
+        label = f"{name}, {means[name]:.1f} m"
+        axes.annotate(
+            label, (hours[-1], means[name]), (0.0, 5.0), textcoords="offset points", ha="right"
+        )
+    axes.set_title("A policy learns to hold a slot", loc="left", weight="bold")
+    axes.set(xlabel="simulated flight, h", ylabel="mean distance from the slot, m", yscale="log")
+    ticks = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
+    axes.set_yticks(ticks, [f"{each:g}" for each in ticks])
+    axes.set_ylim(1.0, 60.0)
+    axes.minorticks_off()
     axes.grid(alpha=0.3)
+    axes.spines[["top", "right"]].set_visible(False)
     figure.savefig(file, dpi=120)
 
 
@@ -187,8 +205,6 @@ def main() -> None:
     envs.close()
     if options.save:
         model.save(options.save)
-    if options.plot:
-        draw(curve, options.plot)
 
     def policy(observation: np.ndarray) -> np.ndarray:
         return model.predict(observation, deterministic=True)[0]
@@ -211,6 +227,8 @@ def main() -> None:
             f"  {name:12}{means[name]:6.2f} m mean slot error, {second:6.2f} m in the second half; "
             f"{left:4.0%} left the formation"
         )
+    if options.plot:
+        draw(curve, means, options.plot)
     if not means["policy"] < means["trim"]:
         raise SystemExit(3)
 

@@ -76,9 +76,14 @@ def write_sources(root: Path, into: Path) -> None:
     """Write what Zensical builds: zensical.toml and docs/.
 
     Raises:
-        ValueError: the navigation lacks a page or has one too many, a link leads to no file, or a
-            generated part is unknown.
+        ValueError: the navigation lacks a page or has one too many, a link leads to no file, a
+            generated part is unknown, or the folder has other files.
     """
+    own = {"docs", "site", ".cache", "zensical.toml"}
+    if into.exists() and (others := {each.name for each in into.iterdir()} - own):
+        raise ValueError(
+            f"{into}: has {min(others)}, which is not of a site (write another folder)"
+        )
     config = (root / CONFIG).read_text(encoding="utf-8")
     pages = sorted(path.relative_to(root).as_posix() for path in (root / "docs").rglob("*.md"))
     linked = linked_files.find_linked(root, pages)

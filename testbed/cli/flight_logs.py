@@ -279,6 +279,8 @@ def import_formation_command(
     from testbed.recordings.tracks import read_tracks
 
     shifts = dict(_parse_offset(text) for text in offset or ())
+    if len(shifts) < len(offset or ()):
+        raise InputError("--offset: an aircraft has two (write one for each)")
     loaded = load_scenario(scenario, overrides)
     names = loaded.aircraft_names
     console = result_console()

@@ -75,7 +75,7 @@ def new_aircraft_command(
 
     All files that the aircraft names are copied, from its own folder and from the engines and
     systems that come with JSBSim. Elements that open sockets or write files are cut out, properties
-    that no file sets are declared, and each is said.
+    that no file sets are declared, and each is reported.
 
     The aircraft is trimmed over its speed range. Gains of autopilot, middle loop and guidance, and
     the speed model of the formation law, follow by rule from its responses to steps. It then flies

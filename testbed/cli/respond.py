@@ -150,7 +150,7 @@ def respond_command(
     """Replay a recorded flight with one aircraft, and compare the two.
 
     The recorded fly-by-wire-A commands are flown with the virtual autopilot; what the differences
-    point to is said. With --fit the model is fitted to the recording.
+    point to is printed. With --fit the model is fitted to the recording.
     """
     from testbed.autopilot.parameters import AutopilotTiming, read_params
     from testbed.scenario import find_aircraft

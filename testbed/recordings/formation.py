@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -118,13 +119,22 @@ def write_formation(
     write_run_file(directory, SCENARIO_NAME, info.scenario_yaml.encode())
     recorder, meter = McapRecorder(directory / LOG_NAME, live=False), MetricsObserver()
     observers = (recorder, meter)
-    for observer in observers:
-        observer.begin(info)
-    samples = _samples(plan, tracks, ticks, clock.base_rate_hz, events)
-    for number, sample in enumerate(samples, start=1):
+    try:
         for observer in observers:
-            observer.observe(sample)
-        advance(number, len(ticks))
+            observer.begin(info)
+        samples = _samples(plan, tracks, ticks, clock.base_rate_hz, events)
+        for number, sample in enumerate(samples, start=1):
+            for observer in observers:
+                observer.observe(sample)
+            advance(number, len(ticks))
+    except BaseException:
+        # a half would look like a simulated run that was killed
+        recorder.close()
+        for name in (LOG_NAME, SCENARIO_NAME):
+            (directory / name).unlink(missing_ok=True)
+        with suppress(OSError):
+            directory.rmdir()
+        raise
     metrics = meter.summary()
     metrics["outcome"], metrics["recorded"] = "completed", True
     for name in plan.names[1:]:  # of a law that is not known

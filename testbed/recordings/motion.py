@@ -206,10 +206,12 @@ def find_contradiction(motion: Motion) -> tuple[str, str] | None:
     velocity = motion.stack(VELOCITY)
     needed = turn_bank(velocity, np.gradient(velocity, columns["t_s"], axis=0))
     square = float(np.sum(needed * needed))
-    if square > _MIN_BANK**2 * len(needed):
+    if "roll_rad" in columns and square > _MIN_BANK**2 * len(needed):
         ratio = float(np.sum(needed * columns["roll_rad"])) / square
         if ratio < -_MIN_SHARE:
             return "roll_rad", "is to the left in turns to the right; write the other sign"
+    if "yaw_rad" not in columns:
+        return None
     heading = columns["yaw_rad"] - course(velocity)
     mean = float(np.angle(np.mean(np.exp(1j * wrap_pi(heading)))))
     if abs(mean) > _MAX_YAW_ERROR:

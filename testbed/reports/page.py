@@ -71,7 +71,8 @@ def head_html(run: RunData) -> str:
     line = [f'<span class="outcome {outcome}">{outcome.replace("_", " ")}</span>']
     recorded = metrics.get("recorded", False)
     kind = "recorded" if recorded else "simulated"
-    line.append(f"{metrics['simulated_s']:g} of {info.duration_s:g} s {kind}")
+    begin_s = metrics.get("begin_s", 0.0)
+    line.append(f"{metrics['simulated_s'] - begin_s:g} of {info.duration_s - begin_s:g} s {kind}")
     count = len(info.names) - 1
     line.append(f"{count} follower{'s' * (count != 1)} of {escape(info.names[0])}")
     line.append(escape(", ".join(sorted(set(info.aircraft)))))

@@ -41,7 +41,8 @@ class CheckedPlan:
 def check_plan(plan: Plan) -> CheckedPlan:
     """Read the scenarios of a study before any is flown.
 
-    Of more than `MAX_CHECKED`, so many that every level of every key is read in every case. A level
+    Of more than `MAX_CHECKED`, so many that every level of every key is read in every case, and of
+    drawn points the first ones; of more cases than that, one each. A level
     or a case that cannot be flown is an error. So is a drawn value only if no point of its case can
     be flown; otherwise the row of the run has the error. A law or function of the user's that
     cannot be built, and a metric that no run has, are errors.

@@ -202,9 +202,7 @@ def _check(commands: Commands, names: Sequence[str], skip_s: float) -> None:
             f"{commands.path}: {max(left, 0.0):.1f} s are left to fit to; at least "
             f"{MIN_FITTED_S:g} s are needed"
         )
-    missing = [
-        name for name in ("phi_rad", "theta_rad", "airspeed_mps") if name not in commands.recorded
-    ]
+    missing = [name for name in _NEEDED if name not in commands.recorded]
     if missing:
         raise InputError(f"{commands.path}:1: no column {', '.join(missing)}, which a fit needs")
 

@@ -154,7 +154,7 @@ def fly_check(
     rows: list[tuple[float, ...]] = []
     for tick in range(0, round(DURATION_S * RATE_HZ), period):
         state, air = fleet.read(), fleet.air()
-        if fleet.lost(state)[0]:
+        if rows and fleet.lost(state)[0]:
             break
         bank_deg, change_deg = _command(tick / RATE_HZ)
         command = FbwaCommand(

@@ -23,12 +23,12 @@ from testbed.trials.period_map import FollowerMap, PeriodMaps
 
 _NEGLIGIBLE = 1e-9  # elements of matrices
 _VANISHED = 1e-6  # eigenvalues of what a period forgets
-SLOWEST = (
-    1e-3  # 1/s; slower poles are of what no aircraft returns to, such as the Earth's curvature
-)
+# 1/s; slower poles are those of the position on the round Earth
+SLOWEST = 1e-3
 MESSAGE_SIZE = 9  # of a follower
 MAX_GAIN, MIN_GAIN, MAX_LATENCY_S = 10.0, 0.001, 1.0  # that are tried
-_BISECTIONS = 16
+_STEPS = 20  # upwards, to the first value at which something grows
+_BISECTIONS = 12
 
 
 class Mode(NamedTuple):
@@ -372,8 +372,16 @@ def _loops(followers: list[LinearFollower]) -> Array:
 
 
 def _largest(holds: Callable[[float], bool], low: float, high: float) -> float:
-    """Return the largest value up to which something holds, by bisection; inf: at the highest."""
-    if holds(high):
+    """Return the largest value up to which something holds; inf: at all that are tried.
+
+    It holds at `low`. Steps upwards come before a bisection: it may hold again beyond.
+    """
+    for step in np.linspace(low, high, _STEPS + 1)[1:].tolist():
+        if not holds(step):
+            high = step
+            break
+        low = step
+    else:
         return math.inf
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)

@@ -11,8 +11,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from testbed.core.errors import InputError
 from testbed.core.records import NedOrigin
+from testbed.core.standard_atmosphere import SEA_LEVEL_DENSITY, density_ratio
 from testbed.scenario import MiddleLoopGains
 from testbed.trials.check_flight import CheckFlight, check_and_soften
 from testbed.trials.envelope import Envelope, find_envelope
@@ -25,11 +28,11 @@ from testbed.trials.first_gains import (
 from testbed.trials.speed_step import SpeedStep, speed_step
 from testbed.trials.step_responses import StepResponses, measure_steps, start_of
 from testbed.vehicle.jsbsim_adapter import airframe, find_cruise, trim_aircraft
+from testbed.vehicle.powerplant import AircraftError
 from testbed.vehicle.trim import TrimError, TrimPoint, TrimResult
 
 ALTITUDE = 400.0  # m above sea level, of all trims
 _SLOW = 20.0  # m/s: slower cruises are rounded to 0.1 m/s, others to 1 m/s
-_DENSITY = 1.179  # kg/m³, of the standard atmosphere at ALTITUDE
 _SPEED_CHANGE = 0.02  # of the cruise, for slopes over speed
 _BANK, _CLIMB = math.radians(30.0), math.radians(2.0)
 _SPEED_STEP = 2.0  # m/s, of the speed model
@@ -161,4 +164,10 @@ def _level_flight(folder: Path, envelope: Envelope, origin: NedOrigin) -> LevelF
 def _lag_of_path(folder: Path, speed: float) -> float:
     """Return 1/|Z_w|: m / (½ ρ V S C_Lα), s."""
     size = airframe(folder)
-    return size.mass / (0.5 * _DENSITY * speed * size.area * size.lift_slope)
+    if not size.lift_slope > 0.0:
+        raise AircraftError(
+            f"{folder.name}: its lift coefficient does not grow with the angle of attack near 0, "
+            "so the lag of its flight path is not known (write the gains by hand)"
+        )
+    density = SEA_LEVEL_DENSITY * float(density_ratio(np.array(ALTITUDE)))
+    return size.mass / (0.5 * density * speed * size.area * size.lift_slope)

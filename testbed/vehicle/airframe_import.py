@@ -104,6 +104,11 @@ def copy_aircraft(source: Path, folder: Path, shared: Path) -> CopiedAircraft:
     while waiting:
         original, copy = waiting.pop(0)
         if copy in contents:
+            if copied.sources.get(copy, original) != original:
+                problems.append(
+                    f"{original}: the new folder has another file {copy.name} "
+                    "(write another --into)"
+                )
             continue
         try:
             scan = FileScan(original, is_main=copy == copied.main)

@@ -54,8 +54,9 @@ def find_engine(folder: Path, rate_hz: int) -> Engine:
     # another mass or another value of a property is another row of the same function
     key = compiled.source, rate_hz
     proof = _PROOFS.get(key) or prove_aircraft(compiled, rate_hz)
-    _PROOFS[key] = proof
-    if not proof.equal:
+    if proof.equal:
+        _PROOFS[key] = proof
+    else:
         return Engine(None, f"{folder.name}: compiled, {proof.unequal}: it is flown by JSBSim")
     return Engine(
         compiled, f"{folder.name} equals JSBSim {VERSION} in {proof.compared:,} compared numbers"
