@@ -419,6 +419,22 @@ def test_map_of_positions_alone_gives_a_leader(foreign, flight, tmp_path):
     assert np.sqrt(np.mean((full.columns["roll_rad"] - roll) ** 2)) < math.radians(4.0)
 
 
+def test_map_without_attitude_is_complete(tmp_path):
+    """The yaw is then the course, also where velocities are given."""
+    names = ("north_m", "east_m", "down_m", "v_north_mps", "v_east_mps", "v_down_mps")
+    rows = [(0.1 * k, 1.2 * k, 1.6 * k, -100.0, 12.0, 16.0, 0.0) for k in range(100)]
+    path = tmp_path / "straight.csv"
+    with path.open("w", newline="") as file:
+        csv.writer(file).writerows([("t", *names), *rows])
+    columns = {"t_s": {"column": "t"}} | {name: {"column": name} for name in names}
+    motion = read_mapped(path, write_map(tmp_path / "map.yaml", columns))
+    full = complete(motion, None)
+    assert full.columns["yaw_rad"] == pytest.approx(math.atan2(16.0, 12.0), abs=1e-6)
+    backwards = columns | {"v_north_mps": {"column": "v_north_mps", "sign": -1}}
+    with pytest.raises(InputError, match="contradicts north_m"):
+        read_mapped(path, write_map(tmp_path / "wrong.yaml", backwards))
+
+
 def test_import_of_zero_position_has_no_leader(flown, tmp_path):
     """ArduPlane sends latitude and longitude 0 where it knows none."""
     out = []
