@@ -46,8 +46,8 @@ def _read_banks(parameter: typer.CallbackParam, text: str) -> str:
     """Check the banks of --bank; a typer callback."""
     for part in text.split(","):
         bank = parse_number(part.strip())
-        if bank is None or not 0.0 <= bank < 90.0:
-            raise InputError(f"--bank {text}: write banks of 0 to 90 degrees, such as 0,30,45")
+        if bank is None or not 0.0 <= bank <= 60.0:
+            raise InputError(f"--bank {text}: write banks of 0 to 60 degrees, such as 0,30,45")
     return text
 
 

@@ -7,7 +7,7 @@ import math
 import os
 import time
 import weakref
-from collections.abc import Sequence
+from collections.abc import Sequence, Sized
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeAlias
 
@@ -355,6 +355,9 @@ def _row_scenarios(
     duration_s: float | None,
 ) -> list[Scenario]:
     """Return the scenario of each row."""
+    for name, each in (("seeds", seeds), ("rows", rows)):
+        if each is not None and (isinstance(each, str) or not isinstance(each, Sized)):
+            raise InputError(f"{name}: is {shown_value(each)} (write a list, one for each row)")
     if isinstance(scenario, list | tuple):
         if overrides or rows is not None or not all(isinstance(e, Scenario) for e in scenario):
             raise InputError("scenario: is a list (write scenarios alone, without overrides, rows)")

@@ -113,7 +113,7 @@ def _source_text(copied: CopiedAircraft, found: DerivedAircraft) -> str:
         f"{math.degrees(steps.sideslip):.1f}° per full command.",
         "## A minute of fly-by-wire A",
         "Bank 0, 30, −30, 0°, then pitch +4, −4, 0° from the trim's, with the throttle of the trim."
-        f" The gains were softened {_times(check.softenings)}.",
+        f" The gains were {_times(check.softenings)}.",
         _table(
             ("axis", "to 63 %", "overshoot", "ripple"),
             (
@@ -159,7 +159,8 @@ def _changes(copied: CopiedAircraft) -> str:
 
 
 def _times(count: int) -> str:
-    return {0: "never", 1: "once", 2: "twice"}.get(count, f"{count} times")
+    words = {0: "not softened", 1: "softened once", 2: "softened twice"}
+    return words.get(count, f"softened {count} times")
 
 
 def _table(header: Iterable[str], rows: Iterable[Iterable[str]]) -> str:

@@ -135,12 +135,13 @@ def _findings(time: Array, quantities: Mapping[str, ComparedQuantity]) -> Iterat
         word = "faster" if each.mean > 0.0 else "slower"
         yield (
             f"trim: the model is {abs(each.mean):.2f} m/s {word} on average with the same throttle "
-            "and pitch commands: drag, thrust, or the airspeed sensor"
+            "and pitch commands: drag, thrust, the airspeed sensor, or the pitch trim of the tune"
         )
     if (each := quantities.get("climb rate")) and abs(each.mean) > CLIMB_MPS:
         word = "climbs more" if each.mean > 0.0 else "climbs less"
         yield (
-            f"trim: the model {word}, by {abs(each.mean):.2f} m/s on average: mass, drag or thrust"
+            f"trim: the model {word}, by {abs(each.mean):.2f} m/s on average: mass, drag, thrust, "
+            "or the pitch trim of the tune"
         )
     if (each := quantities.get("angle of attack")) and abs(each.mean) > ALPHA_DEG:
         yield (

@@ -83,6 +83,7 @@ def test_commands_of_rows_are_those_of_steps():
     [
         ({"seeds": []}, "rows, seeds: "),
         ({"seeds": [1, 2], "rows": [[]]}, "rows, seeds: "),
+        ({"seeds": 3}, "seeds: is 3 (write a list"),
         ({"rows": ["a"]}, "rows[0]: "),
         ({"threads": 0}, "threads"),
         ({"rows": [[], ["leader.name=other"]]}, "rows[1]: has other aircraft"),
