@@ -21,12 +21,11 @@ from xml.sax.saxutils import escape
 from testbed.core.files import write_file
 from testbed.core.input_files import read_bounded
 from testbed.vehicle.airframe_scan import Cut, FileScan, NamedFile
-from testbed.vehicle.airframe_validation import MAX_BYTES, MAX_FILES
+from testbed.vehicle.airframe_validation import FILE_NAME, MAX_BYTES, MAX_FILES
 from testbed.vehicle.powerplant import AircraftError
 
 MAX_DECLARED = 40  # properties that other programs give an aircraft
 _DECLARED = "declared"  # name of the <system> with properties that are missing
-_PLAIN_NAME = re.compile(r"(?!\.)[\w .,()+-]+(/(?!\.)[\w .,()+-]+)*", re.ASCII)
 _FOLDER_NAME = re.compile(r"[A-Za-z0-9][\w.+-]*", re.ASCII)
 _MISSING = re.compile(r"The property (\S+) does not exist")
 # Where files of an element are looked for beside the aircraft's own folder, and where they go.
@@ -220,7 +219,7 @@ class _Search:
         Raises:
             AircraftError: there is none, or its name leaves the folder.
         """
-        if not _PLAIN_NAME.fullmatch(use.name):
+        if not FILE_NAME.fullmatch(use.name):
             raise AircraftError(
                 f"{use.place}: file={use.name[:60]!r} is no plain name (copy the file beside the "
                 "aircraft, and write its name)"

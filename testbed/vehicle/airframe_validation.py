@@ -39,7 +39,7 @@ from testbed.vehicle.powerplant import AircraftError
 MAX_BYTES = 10_000_000  # of a file
 MAX_FILES = 100
 MAX_DEPTH = 50  # of nested elements
-_FILE_NAME = re.compile(r"(?!\.)[\w .,()+-]+(/(?!\.)[\w .,()+-]+)*", re.ASCII)
+FILE_NAME = re.compile(r"(?!\.)[\w .,()+-]+(/(?!\.)[\w .,()+-]+)*", re.ASCII)
 _WITHOUT_MEANING = ("name", "unit")  # attributes of any element
 _NAMESPACES = ("xmlns", "xsi:")  # attributes of the first element
 # Elements that people have in their files, and what to do without them.
@@ -354,7 +354,7 @@ class FileCheck:
     def _found(self, name: str, folders: tuple[str, ...]) -> list[Path]:
         """Return all files that JSBSim may read for a name."""
         places = " or its ".join(("the aircraft's folder", *folders[1:2]))
-        if not _FILE_NAME.fullmatch(name):
+        if not FILE_NAME.fullmatch(name):
             self._report(
                 f"file={_short(name)!r} leaves the aircraft's folder, or is no plain name (write "
                 f"the name of a file in {places})"

@@ -35,13 +35,12 @@ _PROSE = ("description", "documentation", "note", "reference", "limitation")
 
 @dataclass(slots=True)
 class _Place:
-    """An element of the file, by its bytes: `start` to `end`, its content to `close`."""
+    """An element of the file, by its bytes: `start` to `end`."""
 
     tag: str
     attributes: dict[str, str]
     line: int
     start: int
-    close: int = 0
     end: int = 0
     text: str = ""
     children: list[_Place] = field(default_factory=list)
@@ -224,7 +223,7 @@ def _parse(content: bytes, main: Path) -> _Place:
         place = stack.pop()
         at = parser.CurrentByteIndex
         if content.startswith(b"</", at):
-            place.close, place.end = at, content.index(b">", at) + 1
+            place.end = content.index(b">", at) + 1
         else:
             place.end = content.index(b"/>", place.start) + 2
 
