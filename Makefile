@@ -131,9 +131,9 @@ results: $(STAMP) freedoms leader-acceleration
 	@$(BIN)/python benchmarks/network.py --into docs/network.md $(ARGS)
 	@$(BIN)/python benchmarks/sensors.py --into docs/sensors.md $(ARGS)
 
-# Measures damping and margins of every profile: the table of docs/formation.md.
+# Measures damping and margins of every profile: the table of docs/margins.md.
 margins: $(STAMP)
-	@$(BIN)/python benchmarks/margins.py --jobs $(JOBS) --into docs/formation.md $(ARGS)
+	@$(BIN)/python benchmarks/margins.py --jobs $(JOBS) --into docs/margins.md $(ARGS)
 
 # Flies the studies of the rates in docs/speed.md, resuming interrupted ones: 62 flights of some 1000 s and
 # 120 of 300 s, a quarter of an hour on two quiet cores.

@@ -1,4 +1,4 @@
-"""Write the table of damping and margins of docs/formation.md, per aircraft, profile and bank.
+"""Write the table of damping and margins of docs/margins.md, per aircraft, profile and bank.
 
 Each number is the least, of settling the longest, of all followers of Simulations 1 to 3.
 

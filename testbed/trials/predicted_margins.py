@@ -1,7 +1,7 @@
 """Damping and margins of the followers in steady flight, from the linearised formation.
 
 The flight is that of `steady_flight`, with compiled flight models. What it predicts is compared
-with flights in docs/formation.md.
+with flights in docs/margins.md.
 """
 
 from __future__ import annotations
