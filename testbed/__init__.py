@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from testbed.runs.simulation import Simulation
     from testbed.runs.single_aircraft import Aircraft
     from testbed.scenario.load import load_scenario
+    from testbed.trials.state_space import StateSpace, linearise
 
 __all__ = [
     "Aircraft",
@@ -30,9 +31,11 @@ __all__ = [
     "FlightRecords",
     "Run",
     "Simulation",
+    "StateSpace",
     "UserStage",
     "__version__",
     "kernel",
+    "linearise",
     "load_run",
     "load_scenario",
     "run",
@@ -45,8 +48,10 @@ _MODULES = {
     "FlightRecords": "testbed.flight.stages",
     "Run": "testbed.runs.run",
     "Simulation": "testbed.runs.simulation",
+    "StateSpace": "testbed.trials.state_space",
     "UserStage": "testbed.flight.stages",
     "kernel": "testbed.formation.compiled_law",
+    "linearise": "testbed.trials.state_space",
     "load_run": "testbed.logs.flight_data",
     "load_scenario": "testbed.scenario",
     "run": "testbed.runs.run",

@@ -28,6 +28,7 @@ from testbed.cli.output import (
 )
 from testbed.core.errors import InputError
 from testbed.core.numbers import parse_number
+from testbed.core.records import join_names
 
 if TYPE_CHECKING:
     from testbed.trials.margins import FollowerMargins, Margins
@@ -62,6 +63,15 @@ def margins_command(
             callback=_read_banks,
         ),
     ] = "0,30,45",
+    climb: Annotated[
+        float,
+        typer.Option(
+            metavar="M/S",
+            min=-20.0,
+            max=20.0,
+            help="Climb rate of the steady flights; descending if negative.",
+        ),
+    ] = 0.0,
     overrides: Overrides = None,
     method: Annotated[
         Method,
@@ -75,14 +85,15 @@ def margins_command(
 ) -> None:
     """Find the damping and the margins of a formation in steady flight.
 
-    The followers fly behind a virtual leader at the speed of the scenario's, straight or in level
-    circles in both directions, with the scenario's controller, network and latencies, but in still
-    air, without faults and with exact estimates.
+    The followers fly behind a virtual leader at the speed of the scenario's, straight or in circles
+    in both directions, level or climbing, with the scenario's controller, network and latencies,
+    but in still air, without faults and with exact estimates.
 
     There the control period of each follower is linearised. Least damped is the oscillation with
     the lowest damping ratio. The margins are those of one command of one follower: the factor at
     which oscillations no longer decay, the additional latency, the phase, and the distance, the
-    least of |1 + L| of the open loop L. Of both directions each number is the worse one.
+    least of |1 + L| of the open loop L. Of both directions each number is the worse one. Followers
+    that receive from each other have a margin of message delay, in straight flight.
 
     Measured are: the least damped oscillation of bank and pitch after a kick
     of 1° of one follower's commands; when 5 % are left of a displacement of 1 m to the right and
@@ -105,10 +116,10 @@ def margins_command(
     ):
         if method is not Method.FLOWN:
             with progress_counter("linearised flights") as progress:
-                predicted = predicted_margins_of(cases, pool, progress)
+                predicted = predicted_margins_of(cases, pool, progress, climb)
         if method is not Method.PREDICTED:
             with progress_counter("steady flights") as progress:
-                measured = margins_of(cases, pool, progress)
+                measured = margins_of(cases, pool, progress, climb)
     write_json_output(json, to_document(loaded, predicted, measured))
     console = result_console(json)
     console.write_line(
@@ -120,6 +131,9 @@ def margins_command(
     for each in predicted:
         if each.problem:
             console.write_line(f" at {each.bank_deg:g}°: {each.problem}", "yellow")
+        elif not each.bank_deg:
+            for line in _delay_lines(each):
+                console.write_line(line)
     if predicted and measured:
         console.write_line()
     if any(each.followers for each in measured):
@@ -165,6 +179,17 @@ def _predicted_table(found: Sequence[Prediction]) -> Table:
                     end_section=last,
                 )
     return table
+
+
+def _delay_lines(straight: Prediction) -> list[str]:
+    """Return what the followers bear of message delay, a line for each set of them."""
+    from testbed.trials.delay_margin import MAX_DELAY_S
+
+    lines = []
+    for names, delay_s in straight.message_delays:
+        bears = f"{delay_s:.2f} s" if math.isfinite(delay_s) else f"> {MAX_DELAY_S:g} s"
+        lines.append(f" {join_names(names)} receive from each other: delay of messages {bears}")
+    return lines or [" no followers receive from each other: stable at every message delay"]
 
 
 def _table(found: Sequence[Margins]) -> Table:

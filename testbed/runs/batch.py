@@ -35,9 +35,8 @@ from testbed.metrics.observer import MetricsObserver
 from testbed.plan.world import RowRecords, build
 from testbed.runs.command_ranges import RANGES, wrong_part
 from testbed.runs.progress import Progress, compiling_report, reporting_progress
-from testbed.runs.run import find_loaded
 from testbed.runs.simulation import EventCollector, flight_metrics
-from testbed.scenario import Scenario, set_seed
+from testbed.scenario import Scenario, find_loaded, set_seed
 from testbed.scenario.aircraft import ArduPlane
 from testbed.scenario.arguments import check_argument, check_count, check_overrides
 from testbed.scenario.fields import MAX_DURATION_S

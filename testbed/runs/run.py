@@ -53,8 +53,8 @@ from testbed.runs.progress import (
     reporting_progress,
 )
 from testbed.runs.stop_request import RunStopped, stop_on_signals
-from testbed.scenario import Scenario, SingleAircraft, load_scenario, set_duration, set_seed
-from testbed.scenario.arguments import check_calls, check_count, check_overrides, check_path
+from testbed.scenario import Scenario, SingleAircraft, find_loaded
+from testbed.scenario.arguments import check_calls, check_count, check_path
 from testbed.scenario.validate import shown_value
 from testbed.vehicle.workers import ParallelFleet
 
@@ -287,38 +287,6 @@ def list_stages(world: World) -> list[tuple[str, str, str, str]]:
     """List the stages of a flight with log and metrics; see `stages.describe_stages`."""
     observers = MetricsObserver(), McapRecorder(Path(LOG_NAME))
     return list(describe_stages(Flight(world, observers).stages))
-
-
-def find_loaded(
-    scenario: Scenario | str | os.PathLike[str],
-    overrides: Sequence[str],
-    *,
-    duration_s: float | None = None,
-    seed: int | None = None,
-) -> Scenario:
-    """Return the scenario of a call.
-
-    Args:
-        scenario: a scenario, or the name or path of one.
-        overrides: `key=value` as for `--set`.
-        duration_s: see `set_duration`; None: that of the scenario.
-        seed: see `set_seed`; None: that of the scenario.
-
-    Raises:
-        InputError: there is none, overrides are those of a scenario that is loaded already, or a
-            number is out of range.
-    """
-    texts = check_overrides("overrides", overrides)
-    if not isinstance(scenario, Scenario):
-        scenario = load_scenario(scenario, texts)
-    elif texts:
-        raise InputError(
-            f"overrides: {', '.join(texts)}: the scenario is loaded already (give them to "
-            "load_scenario)"
-        )
-    if seed is not None:
-        scenario = set_seed(scenario, seed)
-    return scenario if duration_s is None else set_duration(scenario, duration_s)
 
 
 def check_observers(observers: Sequence[Observer]) -> None:

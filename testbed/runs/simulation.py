@@ -32,8 +32,8 @@ from testbed.plan.world import build, build_single
 from testbed.runs.command_ranges import check_command
 from testbed.runs.external_options import external_summary
 from testbed.runs.progress import Progress, check_progress, compiling_report, reporting_progress
-from testbed.runs.run import check_observers, find_loaded, open_run_directory
-from testbed.scenario import Scenario, SingleAircraft, set_seed
+from testbed.runs.run import check_observers, open_run_directory
+from testbed.scenario import Scenario, SingleAircraft, find_loaded, set_seed
 from testbed.scenario.aircraft import ArduPlane
 from testbed.scenario.arguments import check_argument, check_path
 from testbed.scenario.fields import MAX_DURATION_S, Instant, Section

@@ -4,6 +4,7 @@ from testbed.scenario.expect import unchecked as unchecked
 from testbed.scenario.load import ScenarioFile as ScenarioFile
 from testbed.scenario.load import dump as dump
 from testbed.scenario.load import dump_middle_loop as dump_middle_loop
+from testbed.scenario.load import find_loaded as find_loaded
 from testbed.scenario.load import find_places as find_places
 from testbed.scenario.load import load_guidance as load_guidance
 from testbed.scenario.load import load_middle_loop as load_middle_loop

@@ -9,6 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from testbed.core.errors import InputError
 from testbed.core.numbers import parse_whole
 from testbed.scenario import references
 from testbed.scenario.arguments import check_overrides, check_path, with_changes
@@ -23,7 +24,7 @@ from testbed.scenario.problems import (
     merge_repeated,
 )
 from testbed.scenario.references import resolve_references
-from testbed.scenario.schema import Scenario
+from testbed.scenario.schema import Scenario, set_duration, set_seed
 from testbed.scenario.single_aircraft import SingleAircraft
 from testbed.scenario.validate import validate
 from testbed.scenario.yaml_io import (
@@ -109,6 +110,38 @@ def load_scenario(name_or_path: str | os.PathLike[str], overrides: Sequence[str]
         ScenarioError: with every problem found, each with its place.
     """
     return open_scenario(name_or_path).resolve(overrides)
+
+
+def find_loaded(
+    scenario: Scenario | str | os.PathLike[str],
+    overrides: Sequence[str],
+    *,
+    duration_s: float | None = None,
+    seed: int | None = None,
+) -> Scenario:
+    """Return the scenario of a call.
+
+    Args:
+        scenario: a scenario, or the name or path of one.
+        overrides: `key=value` as for `--set`.
+        duration_s: see `set_duration`; None: that of the scenario.
+        seed: see `set_seed`; None: that of the scenario.
+
+    Raises:
+        InputError: there is none, overrides are those of a scenario that is loaded already, or a
+            number is out of range.
+    """
+    texts = check_overrides("overrides", overrides)
+    if not isinstance(scenario, Scenario):
+        scenario = load_scenario(scenario, texts)
+    elif texts:
+        raise InputError(
+            f"overrides: {', '.join(texts)}: the scenario is loaded already (give them to "
+            "load_scenario)"
+        )
+    if seed is not None:
+        scenario = set_seed(scenario, seed)
+    return scenario if duration_s is None else set_duration(scenario, duration_s)
 
 
 def loads(

@@ -12,6 +12,7 @@ from testbed.core.errors import InputError
 from testbed.scenario import Scenario
 from testbed.studies.flight_pool import FlightPool
 from testbed.studies.flight_task import COMPLETED, FlightTask
+from testbed.trials.delay_margin import DelayMargin
 from testbed.trials.linear_formation import CommandMargins, Mode
 from testbed.trials.margins import Margins, directions, measure_margins, worse_of
 from testbed.trials.predicted_margins import Prediction, predict_margins, worse_prediction
@@ -19,27 +20,29 @@ from testbed.trials.predicted_margins import Prediction, predict_margins, worse_
 T = TypeVar("T")
 
 
-def _predict(bank_deg: float, scenario: Scenario) -> dict[str, Any]:
-    return {"margins": predict_margins(scenario, bank_deg)}
+def _predict(bank_deg: float, climb_mps: float, scenario: Scenario) -> dict[str, Any]:
+    return {"margins": predict_margins(scenario, bank_deg, climb_mps)}
 
 
-def _measure(bank_deg: float, scenario: Scenario) -> dict[str, Any]:
-    return {"margins": measure_margins(scenario, bank_deg)}
+def _measure(bank_deg: float, climb_mps: float, scenario: Scenario) -> dict[str, Any]:
+    return {"margins": measure_margins(scenario, bank_deg, climb_mps)}
 
 
 def predicted_margins_of(
     cases: Sequence[tuple[Scenario, float]],
     pool: FlightPool,
     progress: Callable[[int, int], None] = lambda done, total: None,
+    climb_mps: float = 0.0,
 ) -> list[Prediction]:
     """Predict the margins of scenarios at banks; see `margins_of`."""
-    return _of_both_directions(cases, pool, progress, _predict, worse_prediction)
+    return _of_both_directions(cases, pool, progress, climb_mps, _predict, worse_prediction)
 
 
 def margins_of(
     cases: Sequence[tuple[Scenario, float]],
     pool: FlightPool,
     progress: Callable[[int, int], None] = lambda done, total: None,
+    climb_mps: float = 0.0,
 ) -> list[Margins]:
     """Measure scenarios at banks, each in both directions of turn.
 
@@ -47,25 +50,27 @@ def margins_of(
         cases: a scenario, and the highest bank of a follower, degrees, 0 or more.
         pool: whose workers measure.
         progress: called with the number of directions measured, and their total.
+        climb_mps: of the leader, m/s.
 
     Raises:
         InputError: something cannot be measured.
     """
-    return _of_both_directions(cases, pool, progress, _measure, worse_of)
+    return _of_both_directions(cases, pool, progress, climb_mps, _measure, worse_of)
 
 
 def _of_both_directions(
     cases: Sequence[tuple[Scenario, float]],
     pool: FlightPool,
     progress: Callable[[int, int], None],
-    measure: Callable[[float, Scenario], dict[str, Any]],
+    climb_mps: float,
+    measure: Callable[[float, float, Scenario], dict[str, Any]],
     worse: Callable[[Sequence[T]], T],
 ) -> list[T]:
     parts = [(i, bank) for i, (_, of) in enumerate(cases) for bank in directions(of)]
 
     def tasks() -> Iterator[FlightTask]:
         for number, (i, bank) in enumerate(parts):
-            yield FlightTask(number, cases[i][0], measure=partial(measure, bank))
+            yield FlightTask(number, cases[i][0], measure=partial(measure, bank, climb_mps))
 
     found: dict[int, T] = {}
     for result in pool.run(tasks()):
@@ -103,7 +108,7 @@ def _plain(value: Any) -> Any:  # noqa: ANN401
             "follower": value.follower,
             "motion": value.motion,
         }
-    if isinstance(value, CommandMargins):
+    if isinstance(value, CommandMargins | DelayMargin):
         return _plain(value._asdict())
     if isinstance(value, list | tuple):
         return [_plain(each) for each in value]

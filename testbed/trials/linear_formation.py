@@ -248,20 +248,9 @@ class LinearFormation:
         """Return L at frequencies (F,): from a command given to minus that computed."""
         b = self.b_command[follower, ..., command].sum(axis=0)
         c = self.c_command[follower, command]
-        return -self.respond(self.a - np.outer(b, c), b, c, frequency_hz)
-
-    def respond(self, a: Array, b: Array, c: Array, frequency_hz: Array) -> Array:
-        """Return c (z − a)⁻¹ b at frequencies (F,)."""
-        # by a triangular matrix: messages under way have no eigenvectors
-        triangle, unitary = schur(a, output="complex")
         z = np.exp(2j * np.pi * np.asarray(frequency_hz) * self.dt)
-        into = unitary.conj().T @ b
-        states = np.zeros((len(b), len(z)), dtype=complex)
-        for k in range(len(b) - 1, -1, -1):
-            later = triangle[k, k + 1 :] @ states[k + 1 :]
-            states[k] = (into[k] + later) / (z - triangle[k, k])
-        response: Array = (c @ unitary) @ states
-        return response
+        loop: Array = -transfer(self.a - np.outer(b, c), b[:, np.newaxis], c, z)[:, 0]
+        return loop
 
     def _late(self, closed: Array, b: Array, c: Array, latency_s: float) -> Array:
         """Return the system with one command late.
@@ -295,6 +284,29 @@ class LinearFormation:
             for k in range(1, needed):
                 a[size + k, size + k - 1] = 1.0
         return a
+
+
+def transfer(a: Array, b: Array, c: Array, z: Array) -> Array:
+    """Return c (z − a)⁻¹ b.
+
+    Args:
+        a: (S, S).
+        b: (S, M).
+        c: (P, S), or (S,).
+        z: (F,).
+
+    Returns:
+        (F, P, M), or (F, M).
+    """
+    # by a triangular matrix: messages under way have no eigenvectors
+    triangle, unitary = schur(a, output="complex")
+    into = unitary.conj().T @ b
+    states = np.zeros((len(z), *into.shape), dtype=complex)
+    for k in range(len(a) - 1, -1, -1):
+        later = triangle[k, k + 1 :] @ states[:, k + 1 :]
+        states[:, k] = (into[k] + later) / (z - triangle[k, k])[:, np.newaxis]
+    response: Array = (c @ unitary) @ states
+    return response
 
 
 def join(maps: PeriodMaps) -> LinearFormation:
@@ -357,11 +369,11 @@ def join(maps: PeriodMaps) -> LinearFormation:
     names = tuple(each.name for each in followers)
     return LinearFormation(
         *(maps.dt, maps.speed, names, a, b_command, c_command, b_wind, b_leader, d_leader),
-        *(c_error, c_attitude, owners, _loops(followers), tuple(labels)),
+        *(c_error, c_attitude, owners, loops_of(followers), tuple(labels)),
     )
 
 
-def _loops(followers: list[LinearFollower]) -> Array:
+def loops_of(followers: list[LinearFollower]) -> Array:
     """Return for each follower the number of the set of those that influence each other."""
     n = len(followers)
     reads = np.zeros((n, n))

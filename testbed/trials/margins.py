@@ -78,17 +78,18 @@ def directions(bank_deg: float) -> tuple[float, ...]:
     return (bank_deg, -bank_deg) if bank_deg else (0.0,)
 
 
-def measure_margins(scenario: Scenario, bank_deg: float) -> Margins:
+def measure_margins(scenario: Scenario, bank_deg: float, climb_mps: float = 0.0) -> Margins:
     """Measure damping, settling and margins of all followers in one direction.
 
     Args:
         scenario: whose formation, network and controller they have.
         bank_deg: the highest of a follower; clockwise if positive.
+        climb_mps: of the leader, m/s.
 
     Raises:
         MarginsError: the scenario or the bank cannot be measured.
     """
-    flight = _fly_steadily(scenario, bank_deg)
+    flight = _fly_steadily(scenario, bank_deg, climb_mps)
     if flight.problem:
         return Margins(bank_deg, (), flight.problem, "")
     kicks, n = _Kicks(flight, scenario), len(flight.names)
@@ -191,17 +192,17 @@ def independent_groups(scenario: Scenario) -> list[Indices]:
     return [np.array(group) for group in groups]
 
 
-def _fly_steadily(scenario: Scenario, bank_deg: float) -> SteadyFlight:
+def _fly_steadily(scenario: Scenario, bank_deg: float, climb_mps: float = 0.0) -> SteadyFlight:
     """Fly until the highest bank of a follower is the one asked for; clockwise if positive."""
     check_measurable(scenario)
-    flight = SteadyFlight(scenario, bank_deg)
+    flight = SteadyFlight(scenario, bank_deg, climb_mps)
     if not bank_deg:
         return flight
     # with sideslip an aircraft banks more than in a coordinated turn
     excess = np.abs(flight.bank_deg).max() - abs(bank_deg)
     if abs(excess) > BANK_TOLERANCE_DEG and math.isfinite(excess):
         corrected = max(abs(bank_deg) - excess, 1.0)
-        flight = SteadyFlight(scenario, math.copysign(corrected, bank_deg))
+        flight = SteadyFlight(scenario, math.copysign(corrected, bank_deg), climb_mps)
     return flight
 
 

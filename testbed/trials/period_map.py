@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from testbed.core.records import Array
+from testbed.core.records import Array, BoolArray
 from testbed.trials.follower_state import FollowerStates
 from testbed.trials.held_flight import COMMANDS, LEADER_MESSAGE, MESSAGE, HeldFlight
 
@@ -75,6 +75,8 @@ class PeriodMaps:
         error: (n, 3) m, their steady slot errors, forward, right, down.
         age_s: (n, N) s, ages of the messages used; NaN: not used.
         turn: rad, of the leader's course in a period.
+        from_timestamp: (n,) whether messages are extrapolated from their stamp.
+        with_acceleration: (n,) whether along a parabola.
     """
 
     dt: float
@@ -84,6 +86,8 @@ class PeriodMaps:
     error: Array
     age_s: Array
     turn: float
+    from_timestamp: BoolArray
+    with_acceleration: BoolArray
 
 
 def linearise_periods(flight: HeldFlight, periods: int) -> PeriodMaps:
@@ -99,6 +103,7 @@ def linearise_periods(flight: HeldFlight, periods: int) -> PeriodMaps:
     from_ned, _ = states.frames()
     flight.write_errors()
     turned = from_ned @ before.T
+    law = flight.world.formation.built_control.controllers["law"]
     return PeriodMaps(
         flight.dt,
         float(np.linalg.norm(flight.world.aircraft["truth"]["velocity_ned"][0])),
@@ -107,6 +112,8 @@ def linearise_periods(flight: HeldFlight, periods: int) -> PeriodMaps:
         flight.world.followers["error_ned"] @ from_ned.T,
         np.array(flight.world.links["age_s"]),
         math.atan2(turned[0, 1], turned[0, 0]) / periods,
+        np.array(law["from_timestamp"]),
+        np.array(law["with_acceleration"]),
     )
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from testbed.flight.world import World
 from testbed.plan.world import build
 from testbed.scenario import Scenario
+from testbed.trials.delay_margin import DelayMargin, delay_margins
 from testbed.trials.held_flight import COMMANDS, HeldFlight
 from testbed.trials.linear_formation import (
     CommandMargins,
@@ -63,29 +64,32 @@ class Prediction:
         bank_deg: asked for, of the follower that banks most; clockwise if positive.
         followers: empty where there is a problem.
         problem: why there are no numbers; "": there are.
+        message_delays: margins of the followers that receive from each other, in straight flight.
     """
 
     bank_deg: float
     followers: tuple[PredictedMargins, ...]
     problem: str
+    message_delays: tuple[DelayMargin, ...] = ()
 
 
-def predict_margins(scenario: Scenario, bank_deg: float) -> Prediction:
+def predict_margins(scenario: Scenario, bank_deg: float, climb_mps: float = 0.0) -> Prediction:
     """Linearise the followers of a scenario in steady flight, in one direction of turn.
 
     Args:
         scenario: whose formation, network and controller they have.
         bank_deg: the highest of a follower; clockwise if positive; 0: straight.
+        climb_mps: of the leader, m/s.
 
     Raises:
         MarginsError: the scenario cannot be flown so, see `check_measurable`, or not linearised.
         InputError: an aircraft has no compiled flight model.
     """
-    check_measurable(scenario)
-    flight, problem = _fly_steadily(scenario, bank_deg)
+    flight, problem = fly_steadily(scenario, bank_deg, climb_mps)
     if problem:
         return Prediction(bank_deg, (), problem)
-    formation = join(linearise(flight))
+    maps = linearise(flight)
+    formation = join(maps)
     banks = np.degrees(flight.world.aircraft["truth"]["euler"][1:, 0])
     followers = tuple(
         PredictedMargins(
@@ -96,7 +100,9 @@ def predict_margins(scenario: Scenario, bank_deg: float) -> Prediction:
         )
         for i, name in enumerate(formation.names)
     )
-    return Prediction(bank_deg, followers, "")
+    # late messages lead to another circle than the one that is linearised
+    delays = () if bank_deg else tuple(delay_margins(maps))
+    return Prediction(bank_deg, followers, "", delays)
 
 
 def worse_prediction(turns: Sequence[Prediction]) -> Prediction:
@@ -107,7 +113,7 @@ def worse_prediction(turns: Sequence[Prediction]) -> Prediction:
     followers = tuple(
         _worse_of(pair) for pair in zip(*(each.followers for each in turns), strict=True)
     )
-    return Prediction(abs(turns[0].bank_deg), followers, "")
+    return Prediction(abs(turns[0].bank_deg), followers, "", turns[0].message_delays)
 
 
 def _worse_of(pair: Sequence[PredictedMargins]) -> PredictedMargins:
@@ -141,14 +147,29 @@ def _least_damped(formation: LinearFormation, follower: int) -> Mode | None:
     return next((mode for mode in own if mode.frequency_hz > 0.0), None)
 
 
-def _fly_steadily(scenario: Scenario, bank_deg: float) -> tuple[HeldFlight, str]:
-    """Fly until the highest bank of a follower is the one asked for, and say what is not steady."""
-    flight, problem = _settle(scenario, bank_deg)
+def fly_steadily(
+    scenario: Scenario, bank_deg: float, climb_mps: float = 0.0
+) -> tuple[HeldFlight, str]:
+    """Fly until the highest bank of a follower is the one asked for.
+
+    Args:
+        scenario: whose formation, network and controller they have.
+        bank_deg: the highest of a follower; clockwise if positive; 0: straight.
+        climb_mps: of the leader, m/s.
+
+    Raises:
+        MarginsError: see `predict_margins`.
+
+    Returns:
+        The flight, and what is not steady in it; "": it is.
+    """
+    check_measurable(scenario)
+    flight, problem = _settle(scenario, bank_deg, climb_mps)
     banks = np.degrees(flight.world.aircraft["truth"]["euler"][1:, 0])
     excess = float(np.abs(banks).max() - abs(bank_deg))
     if bank_deg and abs(excess) > BANK_TOLERANCE_DEG and math.isfinite(excess):
         corrected = math.copysign(max(abs(bank_deg) - excess, 1.0), bank_deg)
-        flight, problem = _settle(scenario, corrected)
+        flight, problem = _settle(scenario, corrected, climb_mps)
     return flight, problem
 
 
@@ -173,8 +194,8 @@ def _check_linearisable(world: World) -> None:
     raise MarginsError(f"{problem}, so margins cannot be predicted (write --method flown)")
 
 
-def _settle(scenario: Scenario, bank_deg: float) -> tuple[HeldFlight, str]:
-    world = build(steady_scenario(scenario, bank_deg, "compiled"))
+def _settle(scenario: Scenario, bank_deg: float, climb_mps: float) -> tuple[HeldFlight, str]:
+    world = build(steady_scenario(scenario, bank_deg, "compiled", climb_mps))
     _check_linearisable(world)
     check_roll_limits(world, abs(bank_deg))
     flight = HeldFlight(world)

@@ -94,17 +94,20 @@ def _leader_speed(scenario: Scenario) -> float | None:
     return getattr(path, "airspeed_mps", None) or getattr(path, "speed_mps", None)
 
 
-def steady_scenario(scenario: Scenario, bank_deg: float, engine: str = "jsbsim") -> Scenario:
-    """Return a scenario's formation behind a virtual leader in level flight.
+def steady_scenario(
+    scenario: Scenario, bank_deg: float, engine: str = "jsbsim", climb_mps: float = 0.0
+) -> Scenario:
+    """Return a scenario's formation behind a virtual leader, straight or in a circle.
 
     Args:
         scenario: as resolved; see `check_measurable`.
         bank_deg: of a coordinated turn of the outermost slot, clockwise if positive; 0: straight.
         engine: of the flight models; JSBSim can move aircraft in flight.
+        climb_mps: of the leader, m/s; descending if negative.
     """
     speed = _leader_speed(scenario)
     assert speed is not None
-    curve: dict[str, Any] = {"kind": "straight"}
+    curve: dict[str, Any] = {"kind": "straight", "climb_mps": climb_mps}
     if bank_deg:
         side = math.copysign(1.0, bank_deg)
         outside = max(-side * offset[1] for offset in scenario.formation.offsets_m.values())
@@ -112,13 +115,16 @@ def steady_scenario(scenario: Scenario, bank_deg: float, engine: str = "jsbsim")
             "kind": "circle",
             "radius_m": _radius(speed, abs(math.radians(bank_deg)), max(outside, 0.0)),
             "direction": "clockwise" if side > 0.0 else "anticlockwise",
+            "climb_mps": climb_mps,
         }
     data = scenario.model_dump(mode="json", by_alias=True)
     for section in ("air", "expect", "limits"):
         data.pop(section)
+    start = data["leader"]["start"]
+    start["altitude_m"] += max(-climb_mps, 0.0) * (LONGEST_SETTLE_S + LONG_RECORD_S)
     data["leader"] = {
         **{key: data["leader"][key] for key in ("name", "aircraft")},
-        "start": data["leader"]["start"] | {"course_deg": 0.0},
+        "start": start | {"course_deg": 0.0},
         "path": {"kind": "virtual", "speed_mps": speed, "curve": curve},
     }
     for each in data["fleet"]:
@@ -150,17 +156,18 @@ class SteadyFlight:
         note: a limit at which a follower flies nevertheless; "": none.
     """
 
-    def __init__(self, scenario: Scenario, bank_deg: float) -> None:
+    def __init__(self, scenario: Scenario, bank_deg: float, climb_mps: float = 0.0) -> None:
         """Fly until the followers are steady, at most `LONGEST_SETTLE_S`.
 
         Args:
             scenario: whose formation it is.
             bank_deg: see `steady_scenario`.
+            climb_mps: of the leader, m/s.
 
         Raises:
             MarginsError: the bank is too near the limit of a follower.
         """
-        self._world = world = build(steady_scenario(scenario, bank_deg))
+        self._world = world = build(steady_scenario(scenario, bank_deg, climb_mps=climb_mps))
         self.names = world.names[1:]
         self.dt = world.clock.control / world.clock.base_rate_hz
         self._limit_deg = check_roll_limits(world, abs(bank_deg))
