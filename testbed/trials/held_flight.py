@@ -55,9 +55,13 @@ class InputChanges:
         self._line = np.zeros((1, n, 3))
         self._late = np.zeros((n, 3))
 
-    def begin(self) -> None:
-        """Begin a flight with this gain and latency at the present, steady commands."""
-        self._steady = self.computed.copy()
+    def begin(self, steady: Array | None = None) -> None:
+        """Begin a flight with this gain and latency.
+
+        Args:
+            steady: (n, 3) commands whose deviations they change; None: the present ones.
+        """
+        self._steady = self.computed.copy() if steady is None else steady
         self._late = self.latency_s * self._rate_hz
         self._line = np.repeat(self._steady[np.newaxis], int(self._late.max()) + 2, axis=0)
 

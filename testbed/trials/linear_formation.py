@@ -50,7 +50,7 @@ class Mode(NamedTuple):
 
 
 class CommandMargins(NamedTuple):
-    """How much one command of one follower can change.
+    """How much one command of one follower can change; nothing where the flight is unstable.
 
     Attributes:
         gain: largest factor; inf: none found.
@@ -229,20 +229,17 @@ class LinearFormation:
         def with_gain(factor: float) -> bool:
             return self.is_stable(a + (factor - 1.0) * np.outer(whole, c))
 
+        frequency = np.geomspace(0.01, 0.5 / self.dt, 3000)
+        loop = own.open_loop(at, command, frequency)
+        distance = float(np.abs(1.0 + loop).min())
+        if not self.is_stable(a):
+            return CommandMargins(1.0, 1.0, 0.0, 0.0, distance)
         gain = _largest(with_gain, 1.0, MAX_GAIN)
         least = 1.0 / _largest(lambda by: with_gain(1.0 / by), 1.0, 1.0 / MIN_GAIN)
         latency = _largest(
             lambda late: self.is_stable(self._late(a, b, c, late)), 0.0, MAX_LATENCY_S
         )
-        frequency = np.geomspace(0.01, 0.5 / self.dt, 3000)
-        loop = own.open_loop(at, command, frequency)
-        return CommandMargins(
-            gain,
-            least,
-            latency,
-            _phase_margin_deg(loop),
-            float(np.abs(1.0 + loop).min()),
-        )
+        return CommandMargins(gain, least, latency, _phase_margin_deg(loop), distance)
 
     def open_loop(self, follower: int, command: int, frequency_hz: Array) -> Array:
         """Return L at frequencies (F,): from a command given to minus that computed."""

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from testbed.core.records import Array
 from testbed.flight.world import World
 from testbed.plan.world import build
 from testbed.scenario import Scenario
@@ -36,6 +37,9 @@ from testbed.trials.steady_flight import (
 )
 
 BANK_TOLERANCE_DEG = 0.5  # between the bank that is asked for and the highest one flown
+RECENTRE_S = 2.0
+# then an unstable flight is linearised, before it leaves its steady state
+UNSTABLE_STEADY_DEG = 0.02
 AIRSPEED_S = 0.1  # period of the autopilots' airspeed filters
 
 
@@ -199,16 +203,52 @@ def _settle(scenario: Scenario, bank_deg: float, climb_mps: float) -> tuple[Held
     _check_linearisable(world)
     check_roll_limits(world, abs(bank_deg))
     flight = HeldFlight(world)
+    return flight, settle(flight)
+
+
+def settle(flight: HeldFlight) -> str:
+    """Fly until the banks are steady, also where that flight is unstable.
+
+    Returns:
+        Why they are not; "": they are.
+    """
     moved_deg = np.array([math.inf])
     while flight.time_s < LONGEST_SETTLE_S and not moved_deg.max() < STEADY_DEG:
         flight.fly_to(flight.time_s + SETTLE_S - LOOK_S)
-        banks = []
-        for _ in range(round(LOOK_S / flight.dt)):
-            flight.fly_to(flight.time_s + flight.dt)
-            banks.append(flight.world.aircraft["truth"]["euler"][1:, 0].copy())
-        moved_deg = np.degrees(np.ptp(np.array(banks), axis=0))
+        moved_deg, _ = _look(flight, LOOK_S)
+    if not moved_deg.max() < STEADY_DEG:
+        moved_deg = _settle_unstable(flight)
     if moved_deg.max() < STEADY_DEG:
-        return flight, ""
+        return ""
     worst = int(np.nan_to_num(moved_deg, nan=np.inf).argmax())
     name = flight.world.names[1 + worst]
-    return flight, f"not steady: the bank of {name} still changes by {moved_deg[worst]:.1f}°"
+    return f"not steady: the bank of {name} still changes by {moved_deg[worst]:.1f}°"
+
+
+def _settle_unstable(flight: HeldFlight) -> Array:
+    """Fly on to a steady flight that is unstable; return how much banks (n,) move, degrees.
+
+    Deviations of the commands from their mean over the time before are halved: the steady flight
+    is the same, and the loops have half their gain.
+    """
+    inputs, moved_deg = flight.inputs, np.array([math.inf])
+    _, mean = _look(flight, RECENTRE_S)
+    for _ in range(round(LONGEST_SETTLE_S / RECENTRE_S)):
+        inputs.gain[:] = 0.5
+        inputs.begin(mean)
+        moved_deg, mean = _look(flight, RECENTRE_S)
+        if moved_deg.max() < UNSTABLE_STEADY_DEG:
+            break
+    inputs.end()
+    return moved_deg
+
+
+def _look(flight: HeldFlight, duration_s: float) -> tuple[Array, Array]:
+    """Fly on; return how much banks move (n,), degrees, and the mean commands (n, 3)."""
+    banks, commands = [], []
+    for _ in range(round(duration_s / flight.dt)):
+        flight.fly_to(flight.time_s + flight.dt)
+        banks.append(flight.world.aircraft["truth"]["euler"][1:, 0].copy())
+        commands.append(flight.inputs.computed.copy())
+    moved_deg: Array = np.degrees(np.ptp(np.array(banks), axis=0))
+    return moved_deg, np.mean(commands, axis=0)

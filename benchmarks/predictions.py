@@ -1,0 +1,307 @@
+"""Write the tables of docs/margins.md that compare the linearised formation with flights.
+
+usage: make predictions  (ARGS="--only NAME")
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+from tables import insert, row
+
+import testbed
+from testbed.core.oscillations import Oscillation, find_oscillations
+from testbed.core.records import Array
+from testbed.plan.world import build, versions
+from testbed.scenario import Scenario, load_scenario
+from testbed.trials.delay_margin import delay_margins
+from testbed.trials.held_flight import COMMANDS, KICK_S, HeldFlight
+from testbed.trials.linear_formation import LinearFormation, join
+from testbed.trials.predicted_margins import fly_steadily, linearise, settle
+from testbed.trials.steady_flight import RECORD_S, steady_scenario
+
+MARK = "make predictions"
+KICK = math.radians(1.0)
+SMALL_KICK = math.radians(0.02)
+PROFILES, BANKS_DEG = ("tuned", "rms"), (0.0, 30.0, 45.0)
+MARGIN_S = 20.0  # of flights whose oscillations grow or decay
+RING_S = (531.0, 533.7)  # of uav1 in Simulation 3, profile rms: a descending turn
+RING_DT = 0.04
+FASTEST_HZ = 5.0  # faster modes are those of filters, and hardly move an aircraft
+PAIR = (
+    "formation.leader_gains={uav1: 1, uav2: 1, uav3: 1}",
+    "formation.neighbour_gains={uav1: {uav2: 1}, uav2: {uav1: 1}, uav3: {uav2: 1}}",
+)
+
+
+def text_of_modes() -> str:
+    """Compare responses to kicks of 1°: frequency, damping, and the whole response."""
+    lines = [
+        row("profile", "bank", "follower", "Hz, predicted", "flown", "ratio, predicted", "flown")
+        + " whole response |",
+        "|---|--:|---|--:|--:|--:|--:|--:|",
+    ]
+    errors: list[tuple[float, float, float]] = []
+    for scenario, bank_deg in _cases():
+        flight, problem = fly_steadily(scenario, bank_deg)
+        profile = f"`{scenario.controller.profile}`"
+        if problem:
+            lines.append(row(profile, f"{bank_deg:g}°", problem, *("–",) * 5))
+            continue
+        formation = join(linearise(flight))
+        start = flight.save()
+        banks = np.degrees(flight.world.aircraft["truth"]["euler"][1:, 0])
+        for i, name in enumerate(formation.names):
+            periods = round(RECORD_S / flight.dt)
+            flown = _flown(flight, start, i, periods, KICK)
+            found = _predicted(formation, i, periods)
+            mode, other = _pair(find_oscillations(found, flight.dt), flown, flight.dt)
+            whole = float(np.linalg.norm(found - flown) / np.linalg.norm(flown))
+            errors.append(
+                (
+                    mode.frequency_hz / other.frequency_hz - 1.0,
+                    mode.damping / other.damping - 1.0,
+                    whole,
+                )
+            )
+            lines.append(
+                row(
+                    *(profile, f"{banks[i]:.1f}°", name),
+                    *(f"{mode.frequency_hz:.3f}", f"{other.frequency_hz:.3f}"),
+                    *(f"{mode.damping:.4f}", f"{other.damping:.4f}", f"{100.0 * whole:.1f} %"),
+                )
+            )
+    largest = 100.0 * np.abs(np.array(errors)).max(axis=0)
+    lines += [
+        "",
+        f"Largest errors: frequency {largest[0]:.1f} %, damping ratio {largest[1]:.1f} %, whole "
+        f"response {largest[2]:.1f} %.",
+    ]
+    return "\n".join(lines)
+
+
+def text_of_margins() -> str:
+    """Compare factors and latencies of one command of one follower with bisections in flight."""
+    lines = [
+        row("profile", "bank", "follower", "command", "factor, predicted", "flown")
+        + " latency, predicted, ms | flown, ms |",
+        "|---|--:|---|---|--:|--:|--:|--:|",
+    ]
+    errors: list[tuple[float, float]] = []
+    for scenario, bank_deg in _cases():
+        flight, problem = fly_steadily(scenario, bank_deg)
+        if problem:
+            continue
+        formation = join(linearise(flight))
+        start = flight.save()
+        banks = np.degrees(flight.world.aircraft["truth"]["euler"][1:, 0])
+        for i, k in ((0, 1), (1, 1), (1, 0), (1, 2)):
+            margins = formation.margins(i, k)
+            gain, latency_s = _flown_margins(flight, start, i, k, margins.gain, margins.latency_s)
+            errors.append((margins.gain / gain - 1.0, margins.latency_s / latency_s - 1.0))
+            lines.append(
+                row(
+                    *(f"`{scenario.controller.profile}`", f"{banks[i]:.1f}°"),
+                    *(formation.names[i], COMMANDS[k]),
+                    *(_number(margins.gain, 2), _number(gain, 2)),
+                    *(_number(1000.0 * margins.latency_s, 0), _number(1000.0 * latency_s, 0)),
+                )
+            )
+    largest = 100.0 * np.nanmax(np.abs(np.array(errors)), axis=0)
+    lines += ["", f"Largest errors: factor {largest[0]:.1f} %, latency {largest[1]:.1f} %."]
+    return "\n".join(lines)
+
+
+def text_of_delays() -> str:
+    """Compare the message delay that followers bear which receive from each other."""
+    lines = [
+        row("scenario", "followers in a circle", "delay, predicted, s", "flown, s"),
+        "|---|---|--:|--:|",
+    ]
+    for title, name, overrides in (
+        ("Simulation 1", "simulation-1", ()),
+        ("Simulation 3, uav1 and uav2 in both directions", "simulation-3", PAIR),
+    ):
+        [margin] = delay_margins(linearise(_late_flight(name, overrides, 0.0)))
+        dt = _late_flight(name, overrides, 0.0).dt
+        first = round(0.7 * margin.delay_s / dt)
+        while _decays_late(name, overrides, (first + 1) * dt):
+            first += 1
+        lines.append(
+            row(title, ", ".join(margin.followers), f"{margin.delay_s:.2f}", f"{first * dt:.2f}")
+        )
+    return "\n".join(lines)
+
+
+def text_of_ring() -> str:
+    """Compare the ring of uav1 in Simulation 3 with a steady turn of its radius and descent."""
+    scenario = load_scenario("simulation-3", ["controller.profile=rms", "log.mcap=false"])
+    bank, velocity = [], []
+    with testbed.Simulation(scenario) as simulation:
+        for time_s in np.arange(RING_S[0], RING_S[1], RING_DT).tolist():
+            truth = simulation.step(until=time_s).truth
+            bank.append(float(truth.euler[1, 0]))
+            velocity.append(truth.velocity_ned[0].copy())
+    signal, moved = np.array(bank), np.array(velocity)
+    course = np.unwrap(np.arctan2(moved[:, 1], moved[:, 0]))
+    rate = (course[-1] - course[0]) / (RING_DT * (len(course) - 1))
+    speed, climb = float(np.linalg.norm(moved, axis=1).mean()), -float(moved[:, 2].mean())
+    ringing = find_oscillations(signal[:, np.newaxis] - signal.mean(), RING_DT)
+
+    data = steady_scenario(scenario, 30.0, "compiled", climb).model_dump(mode="json", by_alias=True)
+    path = data["leader"]["path"]
+    path["speed_mps"] = speed
+    path["curve"]["radius_m"] = speed / abs(rate)
+    path["curve"]["direction"] = "clockwise" if rate > 0.0 else "anticlockwise"
+    flight = HeldFlight(build(Scenario.model_validate(data)))
+    if problem := settle(flight):
+        return problem
+    steady = math.degrees(flight.world.aircraft["truth"]["euler"][1, 0])
+    modes = [mode for mode in join(linearise(flight)).of(0).modes() if mode.frequency_hz > 0.5]
+    flown = ringing[0]
+    near = min(modes, key=lambda mode: abs(mode.frequency_hz - flown.frequency_hz))
+    return "\n".join(
+        [
+            row("uav1", "mean bank", "radius, m", "climb, m/s", "Hz", "damping ratio"),
+            "|---|--:|--:|--:|--:|--:|",
+            row(
+                *("flown", f"{math.degrees(signal.mean()):.1f}°", f"{speed / abs(rate):.1f}"),
+                *(f"{climb:.1f}", f"{flown.frequency_hz:.3f}", f"{flown.damping:.3f}"),
+            ),
+            row(
+                *("predicted", f"{steady:.1f}°", f"{speed / abs(rate):.1f}", f"{climb:.1f}"),
+                *(f"{near.frequency_hz:.3f}", f"{near.damping:.3f}"),
+            ),
+        ]
+    )
+
+
+def _cases() -> Iterator[tuple[Scenario, float]]:
+    for profile in PROFILES:
+        for bank_deg in BANKS_DEG:
+            yield load_scenario("simulation-3", [f"controller.profile={profile}"]), bank_deg
+
+
+def _flown(flight: HeldFlight, start: object, i: int, periods: int, kick: float) -> Array:
+    """Return roll and pitch (K, 2) of a follower after a kick of its roll and pitch commands."""
+    n = len(flight.world.followers)
+    flight.inputs.end()
+    still = flight.respond(start, periods)  # type: ignore[arg-type]
+    kicks = np.zeros((n, 3))
+    kicks[i, :2] = kick
+    moved: Array = flight.respond(start, periods, kicks) - still  # type: ignore[arg-type]
+    return moved[:, i, :2]
+
+
+def _predicted(formation: LinearFormation, i: int, periods: int) -> Array:
+    state, rows = np.zeros(len(formation.a)), []
+    push = formation.b_command[i].sum(axis=0)[:, :2].sum(axis=1) * KICK
+    for k in range(periods):
+        rows.append(formation.c_attitude[i] @ state)
+        state = formation.a @ state + (push if k * formation.dt < KICK_S - 1e-9 else 0.0)
+    return np.array(rows)
+
+
+def _pair(predicted: list[Oscillation], flown: Array, dt: float) -> tuple[Oscillation, Oscillation]:
+    """Return the least damped mode of a predicted response, and the next one of the flown one."""
+
+    def pole(mode: Oscillation) -> complex:
+        return 2.0 * math.pi * mode.frequency_hz * complex(-mode.damping, 1.0)
+
+    mode = next(each for each in predicted if each.frequency_hz < FASTEST_HZ)
+    others = find_oscillations(flown, dt)
+    return mode, min(others, key=lambda other: abs(pole(other) - pole(mode)))
+
+
+def _flown_margins(
+    flight: HeldFlight, start: object, i: int, k: int, gain: float, latency_s: float
+) -> tuple[float, float]:
+    """Bisect the factor and the latency of a command in flight, from what is predicted."""
+    inputs = flight.inputs
+
+    def decays(set_input: Callable[[], None]) -> bool:
+        n = len(flight.world.followers)
+        periods = round(MARGIN_S / flight.dt)
+        inputs.end()
+        set_input()
+        still = flight.respond(start, periods)  # type: ignore[arg-type]
+        kicks = np.zeros((n, 3))
+        kicks[i] = SMALL_KICK, SMALL_KICK, 0.02 * SMALL_KICK
+        moved = np.abs(flight.respond(start, periods, kicks) - still)[:, i]  # type: ignore[arg-type]
+        scaled = moved / np.maximum(moved.max(axis=0), 1e-12)
+        inputs.end()
+        third = periods // 3
+        return bool(scaled[-third:].max() < scaled[third : 2 * third].max())
+
+    def with_gain(value: float) -> None:
+        inputs.gain[i, k] = value
+
+    def with_latency(value: float) -> None:
+        inputs.latency_s[i, k] = value
+
+    def bisect(change: Callable[[float], None], low: float, high: float) -> float:
+        if not math.isfinite(high) or decays(lambda: change(high)):
+            return math.nan
+        for _ in range(9):
+            middle = 0.5 * (low + high)
+            low, high = (
+                (middle, high) if decays(lambda at=middle: change(at)) else (low, middle)  # type: ignore[misc]
+            )
+        return low
+
+    return bisect(with_gain, 1.0, 1.0 + 1.4 * (gain - 1.0)), bisect(
+        with_latency, 0.0, 1.4 * latency_s
+    )
+
+
+def _late_flight(name: str, overrides: tuple[str, ...], delay_s: float) -> HeldFlight:
+    late = (f"network.delay_s={delay_s}", "controller.extrapolate_from=timestamp")
+    scenario = load_scenario(name, (*overrides, *late))
+    flight = HeldFlight(build(steady_scenario(scenario, 0.0, "compiled")))
+    # soon: an unstable formation leaves its steady flight
+    flight.fly_to(24.0)
+    return flight
+
+
+def _decays_late(name: str, overrides: tuple[str, ...], delay_s: float) -> bool:
+    """Return whether a small kick decays with messages so late."""
+    flight = _late_flight(name, overrides, delay_s)
+    start, kicks = flight.save(), np.zeros((len(flight.world.followers), 3))
+    still = flight.respond(start, 1250)
+    kicks[0] = SMALL_KICK, SMALL_KICK, SMALL_KICK
+    errors = np.abs(flight.respond(start, 1250, kicks) - still)[..., 2:].max(axis=(1, 2))
+    return bool(errors[1000:].max() < errors[500:750].max())
+
+
+def _number(value: float, digits: int) -> str:
+    return f"{value:.{digits}f}" if math.isfinite(value) else "–"
+
+
+TABLES = {
+    "modes": text_of_modes,
+    "margins": text_of_margins,
+    "delays": text_of_delays,
+    "ring": text_of_ring,
+}
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--only", choices=TABLES)
+    parser.add_argument("--into", type=Path, help="a Markdown file with the markers")
+    options = parser.parse_args()
+    for name in [options.only] if options.only else TABLES:
+        table = TABLES[name]()
+        print(table, file=sys.stdout, flush=True)
+        if options.into:
+            about = ", ".join(f"{each} {of}" for each, of in versions().items())
+            page = insert(
+                options.into.read_text(encoding="utf-8"),
+                f"{table}\n\nMeasured with {about}.",
+                f"{MARK}, {name}",
+            )
+            options.into.write_text(page, encoding="utf-8")
