@@ -9,7 +9,6 @@ eigenvalues with those of the product of the maps, which is exact.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -26,9 +25,8 @@ _VANISHED = 1e-6  # eigenvalues of what a period forgets
 # 1/s; slower poles are those of the position on the round Earth
 SLOWEST = 1e-3
 MESSAGE_SIZE = 9  # of a follower
-MAX_GAIN, MIN_GAIN, MAX_LATENCY_S = 10.0, 0.001, 1.0  # that are tried
-_STEPS = 20  # upwards, to the first value at which something grows
-_BISECTIONS = 12
+MAX_GAIN, MIN_GAIN, MAX_LATENCY_S = 10.0, 0.001, 1.0  # that are reported
+FREQUENCIES = np.geomspace(2e-4, 1.0, 3000)  # of loops, as a share of half the control rate
 
 
 class Mode(NamedTuple):
@@ -209,78 +207,70 @@ class LinearFormation:
         parts = {"bank": roll, "pitch": pitch, "speed": forward, "height": down}
         return max(parts, key=lambda name: parts[name])
 
-    def is_stable(self, a: Array | None = None) -> bool:
+    def is_stable(self) -> bool:
         """Return whether nothing grows."""
-        values = np.abs(np.linalg.eigvals(self.a if a is None else a))
+        values = np.abs(np.linalg.eigvals(self.a))
         return bool(values.max() < math.exp(SLOWEST * self.dt))
 
-    def margins(self, follower: int, command: int) -> CommandMargins:
-        """Return the margins of one command of one follower.
+    def margins(self, follower: int) -> tuple[CommandMargins, ...]:
+        """Return the margins of the commands of one follower, in the order of COMMANDS.
 
         Args:
             follower: 0..n-1.
-            command: row of COMMANDS.
         """
         own = self.of(follower)  # others cannot destabilise it
         at = own.names.index(self.names[follower])
-        a, b, c = own.a, own.b_command[at, ..., command], own.c_command[at, command]
-        whole = b.sum(axis=0)
+        loops = own.open_loops(at, FREQUENCIES * (0.5 / self.dt))
+        stable = own.is_stable()
+        return tuple(_margins_of(loop, self.dt, stable) for loop in loops)
 
-        def with_gain(factor: float) -> bool:
-            return self.is_stable(a + (factor - 1.0) * np.outer(whole, c))
-
-        frequency = np.geomspace(0.01, 0.5 / self.dt, 3000)
-        loop = own.open_loop(at, command, frequency)
-        distance = float(np.abs(1.0 + loop).min())
-        if not self.is_stable(a):
-            return CommandMargins(1.0, 1.0, 0.0, 0.0, distance)
-        gain = _largest(with_gain, 1.0, MAX_GAIN)
-        least = 1.0 / _largest(lambda by: with_gain(1.0 / by), 1.0, 1.0 / MIN_GAIN)
-        latency = _largest(
-            lambda late: self.is_stable(self._late(a, b, c, late)), 0.0, MAX_LATENCY_S
-        )
-        return CommandMargins(gain, least, latency, _phase_margin_deg(loop), distance)
-
-    def open_loop(self, follower: int, command: int, frequency_hz: Array) -> Array:
-        """Return L at frequencies (F,): from a command given to minus that computed."""
-        b = self.b_command[follower, ..., command].sum(axis=0)
-        c = self.c_command[follower, command]
+    def open_loops(self, follower: int, frequency_hz: Array) -> Array:
+        """Return L at frequencies (F,), (3, F): from a command given to minus that computed."""
         z = np.exp(2j * np.pi * np.asarray(frequency_hz) * self.dt)
-        loop: Array = -transfer(self.a - np.outer(b, c), b[:, np.newaxis], c, z)[:, 0]
-        return loop
+        added, computed = self.b_command[follower].sum(axis=0), self.c_command[follower]
+        closed = np.diagonal(transfer(self.a, added, computed, z), axis1=1, axis2=2).T
+        loops: Array = -closed / (1.0 + closed)
+        return loops
 
-    def _late(self, closed: Array, b: Array, c: Array, latency_s: float) -> Array:
-        """Return the system with one command late.
 
-        As the autopilots take it: in each of their Q periods the command of so many periods before,
-        between two of them in proportion.
+def _margins_of(loop: Array, dt: float, stable: bool) -> CommandMargins:
+    """Return the margins of a loop.
 
-        Args:
-            closed: (S, S) without latency.
-            b: (Q, S) of the command in each period of the autopilot.
-            c: (S,) the command computed.
-            latency_s: additional.
-        """
-        parts, size = b.shape
-        periods = latency_s * parts / self.dt
-        whole = math.floor(periods)
-        shares = {whole: 1.0 - (periods - whole), whole + 1: periods - whole}
-        # control periods before, of the command in part q with a delay of k parts
-        needed = math.ceil((whole + 1) / parts)
-        a = np.zeros((size + needed, size + needed))
-        a[:size, :size] = closed - np.outer(b.sum(axis=0), c)
-        for q in range(parts):
-            for k, share in shares.items():
-                before = math.ceil((k - q) / parts) if k > q else 0
-                if before == 0:
-                    a[:size, :size] += share * np.outer(b[q], c)
-                elif share:
-                    a[:size, size + before - 1] += share * b[q]
-        if needed:
-            a[size, :size] = c
-            for k in range(1, needed):
-                a[size + k, size + k - 1] = 1.0
-        return a
+    As a factor or a latency grows, a pole becomes unstable where 1 + L is 0 with it for the first
+    time, at some frequency.
+
+    Args:
+        loop: (F,) L at FREQUENCIES.
+        dt: s, control period.
+        stable: whether the closed loop is.
+    """
+    distance = float(np.abs(1.0 + loop).min())
+    if not stable:
+        return CommandMargins(1.0, 1.0, 0.0, 0.0, distance)
+    _, real = _crossings(loop.imag, loop.real)
+    factors = -1.0 / real[real < 0.0]
+    if loop.real[-1] < 0.0:  # at half the control rate L is real
+        factors = np.append(factors, -1.0 / loop.real[-1])
+    gain = float(factors[factors > 1.0].min(initial=math.inf))
+    least = float(factors[factors < 1.0].max(initial=0.0))
+    where, phase = _crossings(np.log(np.abs(loop)), np.unwrap(np.angle(loop)))
+    angular = np.interp(where, np.arange(len(loop)), FREQUENCIES) * np.pi / dt
+    latency = float((np.mod(phase + np.pi, 2.0 * np.pi) / angular).min(initial=math.inf))
+    to_point = np.abs(np.mod(phase, 2.0 * np.pi) - np.pi)
+    return CommandMargins(
+        gain if gain <= MAX_GAIN else math.inf,
+        least if least >= MIN_GAIN else 0.0,
+        latency if latency <= MAX_LATENCY_S else math.inf,
+        float(np.degrees(to_point).min(initial=math.inf)),
+        distance,
+    )
+
+
+def _crossings(values: Array, others: Array) -> tuple[Array, Array]:
+    """Return where values (F,) cross 0, as an index with a fraction, and others (F,) there."""
+    before = np.flatnonzero(values[:-1] * values[1:] < 0.0)
+    part = values[before] / (values[before] - values[before + 1])
+    return before + part, others[before] + part * (others[before + 1] - others[before])
 
 
 def transfer(a: Array, b: Array, c: Array, z: Array) -> Array:
@@ -298,12 +288,13 @@ def transfer(a: Array, b: Array, c: Array, z: Array) -> Array:
     # by a triangular matrix: messages under way have no eigenvectors
     triangle, unitary = schur(a, output="complex")
     into = unitary.conj().T @ b
-    states = np.zeros((len(z), *into.shape), dtype=complex)
+    count = into.shape[1]
+    states = np.zeros((len(a), count, len(z)), dtype=complex)
     for k in range(len(a) - 1, -1, -1):
-        later = triangle[k, k + 1 :] @ states[:, k + 1 :]
-        states[:, k] = (into[k] + later) / (z - triangle[k, k])[:, np.newaxis]
-    response: Array = (c @ unitary) @ states
-    return response
+        later = triangle[k, k + 1 :] @ states[k + 1 :].reshape(-1, count * len(z))
+        states[k] = (into[k][:, np.newaxis] + later.reshape(count, -1)) / (z - triangle[k, k])
+    response = (c @ unitary) @ states.reshape(-1, count * len(z))
+    return np.moveaxis(response.reshape(*c.shape[:-1], count, len(z)), -1, 0)
 
 
 def join(maps: PeriodMaps) -> LinearFormation:
@@ -378,30 +369,3 @@ def loops_of(followers: list[LinearFollower]) -> Array:
         reads[i, [j - 1 for j in each.b_message if j]] = 1.0
     found: Array = connected_components(reads, connection="strong")[1]
     return found
-
-
-def _largest(holds: Callable[[float], bool], low: float, high: float) -> float:
-    """Return the largest value up to which something holds; inf: at all that are tried.
-
-    It holds at `low`. Steps upwards come before a bisection: it may hold again beyond.
-    """
-    for step in np.linspace(low, high, _STEPS + 1)[1:].tolist():
-        if not holds(step):
-            high = step
-            break
-        low = step
-    else:
-        return math.inf
-    for _ in range(_BISECTIONS):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if holds(middle) else (low, middle)
-    return low
-
-
-def _phase_margin_deg(loop: Array) -> float:
-    """Return the least angle to -1 where |L| crosses 1."""
-    magnitude = np.abs(loop)
-    crossing = np.flatnonzero((magnitude[:-1] - 1.0) * (magnitude[1:] - 1.0) < 0.0)
-    if not len(crossing):
-        return math.inf
-    return float(np.degrees(np.abs(np.angle(-loop[crossing]))).min())

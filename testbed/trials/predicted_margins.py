@@ -100,7 +100,7 @@ def predict_margins(scenario: Scenario, bank_deg: float, climb_mps: float = 0.0)
             name,
             float(banks[i]),
             _least_damped(formation, i),
-            {each: formation.margins(i, k) for k, each in enumerate(COMMANDS)},
+            dict(zip(COMMANDS, formation.margins(i), strict=True)),
         )
         for i, name in enumerate(formation.names)
     )

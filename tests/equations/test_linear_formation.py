@@ -110,7 +110,7 @@ def test_average_has_the_poles_of_the_product(turn):
 
 def test_latency_margin_is_that_of_flights(turn):
     """A follower's oscillation decays below it, and grows above it."""
-    margin = turn.formation.margins(0, ROLL).latency_s
+    margin = turn.formation.margins(0)[ROLL].latency_s
     assert 0.2 < margin < 0.8
     for factor, grows in ((0.93, False), (1.07, True)):
         response = np.abs(turn.respond(0, 500, latency_s=factor * margin)[:, 0, 0])
@@ -119,7 +119,7 @@ def test_latency_margin_is_that_of_flights(turn):
 
 def test_gain_margin_is_that_of_flights(turn):
     """The same of the factor of the roll command."""
-    margin = turn.formation.margins(0, ROLL).gain
+    margin = turn.formation.margins(0)[ROLL].gain
     assert 2.0 < margin < 8.0
     for factor, grows in ((0.93, False), (1.07, True)):
         response = np.abs(turn.respond(0, 500, gain=factor * margin)[:, 0, 0])
@@ -128,7 +128,7 @@ def test_gain_margin_is_that_of_flights(turn):
 
 def test_phase_margin_and_distance_of_the_loop(turn):
     """At the crossing with the least phase |L| is 1; the distance is not larger than these two."""
-    margins = turn.formation.margins(0, ROLL)
+    margins = turn.formation.margins(0)[ROLL]
     chord = 2.0 * math.sin(0.5 * math.radians(margins.phase_deg))
     assert margins.distance <= chord + 1e-3
     assert margins.distance <= 1.0 - 1.0 / margins.gain + 1e-3
