@@ -32,7 +32,8 @@ class InputChanges:
 
     Attributes:
         held: (n, N) of LINK, the messages that are used; None: those that arrive.
-        messages: (n, N, 15) added to the fields of LEADER_MESSAGE of the held ones, NED.
+        messages: (n, N, 15) added to the fields of LEADER_MESSAGE of the held ones, or of those
+            that arrive, NED.
         added: (Q, n, 3) added to the commands in each of the Q periods of the autopilots in a
             control period.
         gain: (n, 3) factor of the commands' deviations from the steady ones.
@@ -76,10 +77,11 @@ class InputChanges:
         )
 
     def _hold(self, now: float, records: FlightRecords) -> None:
-        if self.held is not None:
-            for k, name in enumerate(LEADER_MESSAGE):
-                part = self.messages[:, :, 3 * k : 3 * k + 3]
-                records.links[name] = self.held[name] + part
+        if self.held is None and not self.messages.any():
+            return
+        base = records.links if self.held is None else self.held
+        for k, name in enumerate(LEADER_MESSAGE):
+            records.links[name] = base[name] + self.messages[:, :, 3 * k : 3 * k + 3]
 
     def _compute(self, now: float, records: FlightRecords) -> None:
         for k, name in enumerate(COMMANDS):

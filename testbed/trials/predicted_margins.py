@@ -82,7 +82,7 @@ def predict_margins(scenario: Scenario, bank_deg: float) -> Prediction:
         InputError: an aircraft has no compiled flight model.
     """
     check_measurable(scenario)
-    flight, problem = _fly_steadily(scenario, bank_deg)
+    flight, problem = fly_steadily(scenario, bank_deg)
     if problem:
         return Prediction(bank_deg, (), problem)
     formation = join(linearise(flight))
@@ -141,7 +141,7 @@ def _least_damped(formation: LinearFormation, follower: int) -> Mode | None:
     return next((mode for mode in own if mode.frequency_hz > 0.0), None)
 
 
-def _fly_steadily(scenario: Scenario, bank_deg: float) -> tuple[HeldFlight, str]:
+def fly_steadily(scenario: Scenario, bank_deg: float) -> tuple[HeldFlight, str]:
     """Fly until the highest bank of a follower is the one asked for, and say what is not steady."""
     flight, problem = _settle(scenario, bank_deg)
     banks = np.degrees(flight.world.aircraft["truth"]["euler"][1:, 0])
