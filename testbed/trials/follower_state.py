@@ -19,6 +19,7 @@ from testbed.trials.held_flight import HeldFlight
 from testbed.vehicle.compiled.columns import CONSTANTS, CONTROLS, START, WIND
 from testbed.vehicle.compiled.frame import quaternion_of
 
+CONTROL_MEMORY = ("middle loop", "leader filter")  # beginnings of labels, the state of control
 _INERTIAL = ("position/eci-", "velocities/eci-", "memory/velocity_", "memory/acceleration_")
 _ATTITUDE = ("attitude/eci-", "memory/attitude_dot_")
 _STEP = 1e-5  # of a central difference, where the table has no other
@@ -73,8 +74,9 @@ class FollowerStates:
             tuple(f"autopilot/delay-{k}" for k in range(len(delayed))), delayed, "scalar"
         )
         controllers = formation.built_control.controllers
-        yield from _float_fields("middle loop", controllers["integrals"], i)
-        yield from _float_fields("leader filter", controllers["leader"], i, skip=("time_s",))
+        loop, leader_filter = CONTROL_MEMORY
+        yield from _float_fields(loop, controllers["integrals"], i)
+        yield from _float_fields(leader_filter, controllers["leader"], i, skip=("time_s",))
 
     def read(self, i: int) -> Array:
         """Return the numbers of a follower (S,), as the flight has them."""

@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 
+from testbed.core.call_list import run_steps
 from testbed.core.records import Array, Records
 from testbed.core.saved_state import SavedState
 from testbed.flight.loop import Flight
@@ -32,7 +33,8 @@ class InputChanges:
 
     Attributes:
         held: (n, N) of LINK, the messages that are used; None: those that arrive.
-        messages: (n, N, 15) added to the fields of LEADER_MESSAGE of the held ones, NED.
+        messages: (n, N, 15) added to the fields of LEADER_MESSAGE of the held ones, or of those
+            that arrive, NED.
         added: (Q, n, 3) added to the commands in each of the Q periods of the autopilots in a
             control period.
         gain: (n, 3) factor of the commands' deviations from the steady ones.
@@ -80,14 +82,23 @@ class InputChanges:
         )
 
     def _hold(self, now: float, records: FlightRecords) -> None:
-        if self.held is not None:
-            for k, name in enumerate(LEADER_MESSAGE):
-                part = self.messages[:, :, 3 * k : 3 * k + 3]
-                records.links[name] = self.held[name] + part
+        self.write_messages(records.links)
+
+    def write_messages(self, links: Records) -> None:
+        """Write the messages that followers use into links (n, N)."""
+        if self.held is None and not self.messages.any():
+            return
+        base = links if self.held is None else self.held
+        for k, name in enumerate(LEADER_MESSAGE):
+            links[name] = base[name] + self.messages[:, :, 3 * k : 3 * k + 3]
+
+    def read_computed(self, aircraft: Records) -> None:
+        """Read the commands that control has computed from aircraft (N,)."""
+        for k, name in enumerate(COMMANDS):
+            self.computed[:, k] = aircraft["control"][name][1:]
 
     def _compute(self, now: float, records: FlightRecords) -> None:
-        for k, name in enumerate(COMMANDS):
-            self.computed[:, k] = records.aircraft["control"][name][1:]
+        self.read_computed(records.aircraft)
         self._control_s, self._period = now, -1
         self._command(now, records)
 
@@ -151,6 +162,14 @@ class HeldFlight:
         """Write the motion of the flight models into the records, as at the end of a tick."""
         self.fleet.write_motion()
         copy_truth(self.world.aircraft)
+
+    def step_control(self) -> None:
+        """Step law and middle loop with the messages held, and nothing else."""
+        control = self.world.formation.control
+        self.inputs.write_messages(self.world.links)
+        for group in range(len(control.groups)):
+            run_steps(control.steps(group), self.time_s)
+        self.inputs.read_computed(self.world.aircraft)
 
     def write_errors(self) -> None:
         """Write slots and errors of the present motion."""

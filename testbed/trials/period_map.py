@@ -13,13 +13,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from testbed.core.records import Array, BoolArray
-from testbed.trials.follower_state import FollowerStates
+from testbed.trials.follower_state import CONTROL_MEMORY, FollowerStates
 from testbed.trials.held_flight import COMMANDS, LEADER_MESSAGE, MESSAGE, HeldFlight
 
 _OUTPUTS = 3 * len(MESSAGE) + 3 + 2  # message, slot error, roll and pitch
@@ -117,6 +117,52 @@ def linearise_periods(flight: HeldFlight, periods: int) -> PeriodMaps:
     )
 
 
+def linearise_control(flight: HeldFlight, maps: PeriodMaps) -> PeriodMaps:
+    """Return the maps of a steady flight with the gains that its control has now.
+
+    Aircraft and autopilots stay as they were linearised: law and middle loop alone are stepped.
+
+    Args:
+        flight: that has been linearised.
+        maps: of it, with other gains and the same steady commands.
+    """
+    present = flight.save()
+    period = _Period(flight, FollowerStates(flight), control_alone=True)
+    parts = period.linearise_control()
+    present.restore()
+    followers = tuple(
+        _with_control(old, new) for old, new in zip(maps.followers, parts, strict=True)
+    )
+    return replace(maps, followers=followers)
+
+
+def _with_control(follower: FollowerMap, control: _ControlMap) -> FollowerMap:
+    """Return a follower's maps with other derivatives of its control.
+
+    Where the state is the control's own memory they are the new ones. The rest of the state follows
+    the commands.
+    """
+    own = np.array([label.startswith(CONTROL_MEMORY) for label in follower.labels])[:, np.newaxis]
+    whole = follower.b_command.sum(axis=1)  # (P, S, 3)
+
+    def replaced(old: Array, memory: Array, command: Array) -> Array:
+        changed: Array = np.where(own, memory, old + whole @ command)
+        return changed
+
+    a = replaced(follower.a, control.a, control.c_command - follower.c_command)
+    b_message = {
+        j: replaced(old, control.b_message[j], control.d_message[j] - follower.d_message[j])
+        for j, old in follower.b_message.items()
+    }
+    shape = np.ones((len(follower.a), 1, 1))
+    return follower._replace(
+        a=a,
+        c_command=shape * control.c_command,
+        b_message=b_message,
+        d_message={j: shape * each for j, each in control.d_message.items()},
+    )
+
+
 def _stacked(maps: Sequence[FollowerMap]) -> FollowerMap:
     """Stack the maps of one follower in several periods."""
     fields: list[Any] = []
@@ -136,11 +182,32 @@ class _Derivative(NamedTuple):
     command: Array
 
 
+class _ControlMap(NamedTuple):
+    """Derivatives of one follower's control in a period, as those of FollowerMap.
+
+    Rows of `a` and `b_message` that are not the control's own memory have no meaning.
+    """
+
+    a: Array
+    c_command: Array
+    b_message: dict[int, Array]
+    d_message: dict[int, Array]
+
+
 class _Period:
     """One control period that is flown with changes."""
 
-    def __init__(self, flight: HeldFlight, states: FollowerStates) -> None:
-        """Fly the period without changes, and keep its beginning and its end."""
+    def __init__(
+        self, flight: HeldFlight, states: FollowerStates, *, control_alone: bool = False
+    ) -> None:
+        """Fly the period without changes, and keep its beginning and its end.
+
+        Args:
+            flight: whose time is that of a control step.
+            states: of its followers.
+            control_alone: with changes, step the control alone.
+        """
+        self._control_alone = control_alone
         self._flight, self._states = flight, states
         self._n = len(states.labels)
         self._begin, self._until = flight.save(), flight.time_s + flight.dt
@@ -161,18 +228,12 @@ class _Period:
         parts = range(len(inputs.added))
         by_command = [[self._by_command(q, k) for k in range(len(COMMANDS))] for q in parts]
         by_wind = [self._by_wind(k) for k in range(3)]
-        neighbours = self._flight.world.formation.built_control.neighbours["used"]
-        senders = np.flatnonzero(neighbours.any(axis=0)).tolist()
-        by_message = {
-            j: [self._by_message(j, k) for k in range(3 * len(MESSAGE if j else LEADER_MESSAGE))]
-            for j in senders
-        }
+        by_message = self._by_messages()
         self._end.restore()
         inputs.end()
         maps = []
         for i, size in enumerate(sizes):
             own = [each[i] for each in by_state[:size]]
-            used = [j for j in senders if neighbours[i, j]]
             maps.append(
                 FollowerMap(
                     self._flight.world.names[i + 1],
@@ -182,11 +243,47 @@ class _Period:
                     _columns(each.output for each in own),
                     np.stack([_columns(each[i].state for each in one) for one in by_command]),
                     _columns(each[i].state for each in by_wind),
-                    {j: _columns(each[i].state for each in by_message[j]) for j in used},
-                    {j: _columns(each[i].command for each in by_message[j]) for j in used},
+                    *self._message_columns(by_message, i),
                 )
             )
         return maps
+
+    def linearise_control(self) -> list[_ControlMap]:
+        """Return the derivatives of the followers' control."""
+        sizes = [len(each) for each in self._states.labels]
+        by_state = [self._by_state(k) for k in range(max(sizes))]
+        by_message = self._by_messages()
+        return [
+            _ControlMap(
+                _columns(each[i].state for each in by_state[:size]),
+                _columns(each[i].command for each in by_state[:size]),
+                *self._message_columns(by_message, i),
+            )
+            for i, size in enumerate(sizes)
+        ]
+
+    def _by_messages(self) -> dict[int, list[list[_Derivative]]]:
+        """Return the derivatives by each number of each message, by the row of its sender."""
+        used = self._neighbours.any(axis=0)
+        return {
+            j: [self._by_message(j, k) for k in range(3 * len(MESSAGE if j else LEADER_MESSAGE))]
+            for j in np.flatnonzero(used).tolist()
+        }
+
+    def _message_columns(
+        self, by_message: dict[int, list[list[_Derivative]]], i: int
+    ) -> tuple[dict[int, Array], dict[int, Array]]:
+        """Return `b_message` and `d_message` of a follower."""
+        used = [j for j in by_message if self._neighbours[i, j]]
+        return (
+            {j: _columns(each[i].state for each in by_message[j]) for j in used},
+            {j: _columns(each[i].command for each in by_message[j]) for j in used},
+        )
+
+    @property
+    def _neighbours(self) -> BoolArray:
+        used: BoolArray = self._flight.world.formation.built_control.neighbours["used"]
+        return used
 
     def _by_state(self, k: int) -> list[_Derivative]:
         """Return the derivatives of each follower by the k-th number of its state."""
@@ -257,7 +354,10 @@ class _Period:
         flight.write_motion()
         flight.write_errors()
         outputs = [self._outputs(i) for i in range(self._n)]
-        flight.fly_to(self._until)
+        if self._control_alone:
+            flight.step_control()
+        else:
+            flight.fly_to(self._until)
         return [
             _Derivative(
                 self._ends[i] @ self._states.read(i), outputs[i], flight.inputs.computed[i].copy()

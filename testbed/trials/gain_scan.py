@@ -1,0 +1,111 @@
+"""Margins of a formation with many sets of gains, of one steady flight.
+
+Aircraft and autopilots are linearised once. For each set of gains law and middle loop alone are
+linearised again, which takes a fraction of the time.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+
+from testbed.core.errors import InputError
+from testbed.core.records import Records
+from testbed.plan.world import build
+from testbed.scenario import Scenario, load_scenario
+from testbed.scenario.arguments import check_overrides, check_path
+from testbed.trials.held_flight import COMMANDS
+from testbed.trials.linear_formation import CommandMargins, LinearFormation, join
+from testbed.trials.period_map import linearise_control
+from testbed.trials.predicted_margins import fly_steadily, linearise
+from testbed.trials.steady_flight import MarginsError, steady_scenario
+
+SAME_COMMANDS = 2e-3  # rad, and of the throttle, between the steady commands of two sets of gains
+
+
+class GainScan:
+    """A steady flight in which gains are changed.
+
+    Args:
+        scenario: name or path of a scenario.
+        overrides: `key=value` as for `--set`, of the flight.
+        bank_deg: the highest of a follower, clockwise if positive; 0: straight.
+        climb_mps: of the leader, m/s.
+
+    Raises:
+        InputError: see `testbed.linearise`.
+    """
+
+    def __init__(
+        self,
+        scenario: str | os.PathLike[str],
+        overrides: Sequence[str] = (),
+        *,
+        bank_deg: float = 0.0,
+        climb_mps: float = 0.0,
+    ) -> None:
+        """Fly, and linearise."""
+        self._name, self._overrides = (
+            check_path("scenario", scenario),
+            check_overrides("overrides", overrides),
+        )
+        self._turn = bank_deg, climb_mps
+        flown = load_scenario(self._name, self._overrides)
+        self._flight, problem = fly_steadily(flown, bank_deg, climb_mps)
+        if problem:
+            raise MarginsError(f"{problem} (write a smaller bank_deg or climb_mps)")
+        self._maps = linearise(self._flight)
+        self._fixed = _without_gains(flown)
+
+    def formation(self, overrides: Sequence[str] = ()) -> LinearFormation:
+        """Linearise the formation with other gains.
+
+        Args:
+            overrides: `key=value` as for `--set`, of keys of `controller` and gains of `formation`.
+
+        Raises:
+            InputError: the scenario cannot be flown with them, or they change more than gains.
+        """
+        texts = (*self._overrides, *check_overrides("overrides", overrides))
+        scenario = load_scenario(self._name, texts)
+        if _without_gains(scenario) != self._fixed:
+            raise InputError(
+                f"overrides: {', '.join(overrides)}: changes more than gains (write keys of "
+                "controller, or of formation but its offsets)"
+            )
+        world = build(steady_scenario(scenario, self._turn[0], "compiled", self._turn[1]))
+        own = self._flight.world.formation.built_control
+        before = own.controllers.copy(), own.neighbours.copy()
+        new = world.formation.built_control
+        _copy_gains(new.controllers, new.neighbours, own.controllers, own.neighbours)
+        try:
+            maps = linearise_control(self._flight, self._maps)
+        finally:
+            own.controllers[:], own.neighbours[:] = before
+        return join(maps)
+
+    def margins(self, overrides: Sequence[str] = ()) -> dict[str, dict[str, CommandMargins]]:
+        """Return the margins with other gains, by follower and command; see `formation`."""
+        formation = self.formation(overrides)
+        return {
+            name: dict(zip(COMMANDS, formation.margins(i), strict=True))
+            for i, name in enumerate(formation.names)
+        }
+
+
+def _without_gains(scenario: Scenario) -> dict[str, object]:
+    """Return what a scan may not change."""
+    data = scenario.model_dump(mode="json", by_alias=True)
+    data.pop("controller")
+    data["formation"] = data["formation"]["offsets_m"]
+    return data
+
+
+def _copy_gains(
+    controllers: Records, neighbours: Records, to_controllers: Records, to_neighbours: Records
+) -> None:
+    """Copy gains and options of law and middle loop, without their memory."""
+    for name in ("law", "loop"):
+        to_controllers[name] = controllers[name]
+    for name in ("gain", "used"):
+        to_neighbours[name] = neighbours[name]
