@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from testbed.runs.simulation import Simulation
     from testbed.runs.single_aircraft import Aircraft
     from testbed.scenario.load import load_scenario
+    from testbed.trials.gain_scan import GainScan
     from testbed.trials.state_space import StateSpace, linearise
 
 __all__ = [
@@ -29,6 +30,7 @@ __all__ = [
     "Batch",
     "FlightData",
     "FlightRecords",
+    "GainScan",
     "Run",
     "Simulation",
     "StateSpace",
@@ -46,6 +48,7 @@ _MODULES = {
     "Batch": "testbed.runs.batch",
     "FlightData": "testbed.logs.flight_data",
     "FlightRecords": "testbed.flight.stages",
+    "GainScan": "testbed.trials.gain_scan",
     "Run": "testbed.runs.run",
     "Simulation": "testbed.runs.simulation",
     "StateSpace": "testbed.trials.state_space",

@@ -143,6 +143,10 @@ class HeldFlight:
         self._flight = Flight(world, [], self.inputs.stages())
         self._flight.prepare()
         self._flight.fly_to(-math.inf)
+        control = world.formation.control
+        self._control = [
+            step for group in range(len(control.groups)) for step in control.steps(group)
+        ]
         self.dt = world.clock.control / world.clock.base_rate_hz
 
     @property
@@ -165,11 +169,12 @@ class HeldFlight:
 
     def step_control(self) -> None:
         """Step law and middle loop with the messages held, and nothing else."""
-        control = self.world.formation.control
-        self.inputs.write_messages(self.world.links)
-        for group in range(len(control.groups)):
-            run_steps(control.steps(group), self.time_s)
-        self.inputs.read_computed(self.world.aircraft)
+        inputs, links = self.inputs, self.world.links
+        if inputs.held is not None:
+            links[:] = inputs.held  # their stamps, too
+        inputs.write_messages(links)
+        run_steps(self._control, self.time_s)
+        inputs.read_computed(self.world.aircraft)
 
     def write_errors(self) -> None:
         """Write slots and errors of the present motion."""

@@ -1,0 +1,51 @@
+"""Margins with other gains, of one steady flight."""
+
+import pytest
+
+import testbed
+from testbed.core.errors import InputError
+
+GAINS = ("controller.gains.course.p=5", "formation.k=2")
+
+
+@pytest.fixture(scope="module")
+def scan():
+    """Return a scan of a steady turn."""
+    return testbed.GainScan("simulation-3", bank_deg=30.0)
+
+
+def numbers(margins):
+    """Return factor and latency of the roll and throttle commands of all followers."""
+    return [
+        number
+        for commands in margins.values()
+        for name in ("roll", "throttle")
+        for number in (commands[name].gain, commands[name].latency_s)
+    ]
+
+
+def test_scan_has_the_margins_of_a_flight(scan):
+    """With the gains of the flight, and with others those of a flight with them."""
+    own = testbed.linearise("simulation-3", bank_deg=30.0)
+    assert len(own.a) == len(scan.formation().a)
+    flown = testbed.GainScan("simulation-3", GAINS, bank_deg=30.0)
+    found = numbers(scan.margins(GAINS))
+    assert found == pytest.approx(numbers(flown.margins()), rel=0.05)
+    # the gains matter, and the scan forgets them
+    assert found != pytest.approx(numbers(scan.margins()), rel=0.05)
+    assert numbers(scan.margins(GAINS)) == found
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("network.delay_s=0.2", "changes more than gains"),
+        ("formation.neighbour_gains.uav3.uav2=0", "changes which messages are used"),
+        ("fleet.*.aircraft=skywalker_x8", "changes more than gains"),
+        ("controller.gains.course.q=5", "course.q"),
+    ],
+)
+def test_scan_changes_gains_alone(scan, override, message):
+    """Everything else needs another flight."""
+    with pytest.raises(InputError, match=message):
+        scan.margins([override])
