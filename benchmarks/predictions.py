@@ -8,10 +8,11 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+from margins import AIRCRAFT, cases
 from tables import insert, row
 
 import testbed
@@ -19,9 +20,11 @@ from testbed.core.oscillations import Oscillation, find_oscillations
 from testbed.core.records import Array
 from testbed.plan.world import build, versions
 from testbed.scenario import Scenario, load_scenario
+from testbed.studies.flight_pool import open_flight_pool
+from testbed.studies.margins import predicted_margins_of
 from testbed.trials.delay_margin import delay_margins
 from testbed.trials.held_flight import COMMANDS, KICK_S, HeldFlight
-from testbed.trials.linear_formation import LinearFormation, join
+from testbed.trials.linear_formation import MAX_GAIN, LinearFormation, join
 from testbed.trials.predicted_margins import fly_steadily, linearise, settle
 from testbed.trials.steady_flight import RECORD_S, steady_scenario
 
@@ -29,7 +32,8 @@ MARK = "make predictions"
 KICK = math.radians(1.0)
 SMALL_KICK = math.radians(0.02)
 PROFILES, BANKS_DEG = ("tuned", "rms"), (0.0, 30.0, 45.0)
-MARGIN_S = 12.0  # of flights whose oscillations grow or decay
+AT_REST = 1e-3  # of the largest motion: below it nothing grows
+MARGIN_S = 24.0  # of flights whose oscillations grow or decay
 RING_S = (531.0, 533.7)  # of uav1 in Simulation 3, profile rms: a descending turn
 RING_DT = 0.04
 FASTEST_HZ = 5.0  # faster modes are those of filters, and hardly move an aircraft
@@ -234,10 +238,18 @@ def _flown_margins(
         kicks[i] = SMALL_KICK, SMALL_KICK, 0.02 * SMALL_KICK
         moved = (flight.respond(start, periods, kicks) - still)[:, i]  # type: ignore[arg-type]
         inputs.end()
-        # without the slow return to the slot
-        moving = np.column_stack((moved[1:, :2], np.diff(moved[:, 2:], axis=0)))
-        modes = find_oscillations(moving[round(1.0 / flight.dt) :], flight.dt)
-        return all(mode.damping > 0.0 for mode in modes if mode.frequency_hz < FASTEST_HZ)
+        # by two measures, each of which errs at times: the last third beside the middle one, in
+        # third differences, which leave out the slow return to the slot; and fitted modes
+        moving = np.diff(moved, 3, axis=0)
+        third = len(moving) // 3
+        middle, last = np.abs(moving[third : 2 * third]), np.abs(moving[2 * third :])
+        seen = last.max(axis=0) > AT_REST * np.abs(moving).max(axis=0)
+        rising = bool(np.any(seen & (last.max(axis=0) > middle.max(axis=0))))
+        fitted = find_oscillations(
+            np.column_stack((moved[1:, :2], np.diff(moved[:, 2:], axis=0)))[:300], flight.dt
+        )
+        modes = [mode for mode in fitted if mode.frequency_hz < FASTEST_HZ]
+        return not (rising and any(mode.damping < 0.0 for mode in modes))
 
     def with_gain(value: float) -> None:
         inputs.gain[i, k] = value
@@ -246,7 +258,11 @@ def _flown_margins(
         inputs.latency_s[i, k] = value
 
     def bisect(change: Callable[[float], None], low: float, high: float) -> float:
-        if not math.isfinite(high) or decays(lambda: change(high)):
+        if (
+            not math.isfinite(high)
+            or decays(lambda: change(high))
+            or not decays(lambda: change(low))
+        ):
             return math.nan
         for _ in range(9):
             middle = 0.5 * (low + high)
@@ -255,8 +271,10 @@ def _flown_margins(
             )
         return low
 
-    return bisect(with_gain, 1.0, 1.0 + 1.4 * (gain - 1.0)), bisect(
-        with_latency, 0.0, 1.4 * latency_s
+    # far below a margin fits of a large factor's responses find modes that are none
+    return (
+        bisect(with_gain, 1.0 + 0.75 * (gain - 1.0), 1.0 + 1.3 * (gain - 1.0)),
+        bisect(with_latency, 0.75 * latency_s, 1.3 * latency_s),
     )
 
 
@@ -283,7 +301,56 @@ def _number(value: float, digits: int) -> str:
     return f"{value:.{digits}f}" if math.isfinite(value) else "–"
 
 
+def text_of_profiles() -> str:
+    """List the margins of every profile, the least of Simulations 1 to 3, beside the RMS error."""
+    by_row: dict[tuple[str, str, float], list[Scenario]] = {}
+    for where, scenario in cases():
+        by_row.setdefault(where, []).append(scenario)
+    lines = [
+        row(
+            *("aircraft", "profile", "mean RMS, m", "bank", "least damped, Hz", "damping ratio"),
+            *("factor: pitch", "roll", "throttle", "least latency, ms"),
+        ),
+        "|---|---|--:|--:|--:|--:|--:|--:|--:|--:|",
+    ]
+    with open_flight_pool(jobs=2) as pool:
+        flat = [(each, where[2]) for where, scenarios in by_row.items() for each in scenarios]
+        found = iter(predicted_margins_of(flat, pool))
+    for (aircraft, profile, bank_deg), scenarios in by_row.items():
+        predictions = [next(found) for _ in scenarios]
+        title = (AIRCRAFT[aircraft][0], f"`{profile}`")
+        rms = f"{_mean_rms(scenarios):.2f}" if not bank_deg else ""
+        followers = [one for each in predictions for one in each.followers]
+        modes = [one.least_damped for one in followers if one.least_damped is not None]
+        least = min(modes, key=lambda mode: mode.damping)
+        commands = {name: min(one.commands[name].gain for one in followers) for name in COMMANDS}
+        latency = min(each.latency_s for one in followers for each in one.commands.values())
+        lines.append(
+            row(
+                *(*title, rms, f"{bank_deg:g}°", f"{least.frequency_hz:.2f}"),
+                *(f"{least.damping:.2f}", *(_limited(of) for of in commands.values())),
+                f"{1000.0 * latency:.0f}" if math.isfinite(latency) else "> 1000",
+            )
+        )
+    return "\n".join(lines)
+
+
+def _limited(factor: float) -> str:
+    return f"{factor:.2f}" if math.isfinite(factor) else f"> {MAX_GAIN:g}"
+
+
+def _mean_rms(scenarios: Sequence[Scenario]) -> float:
+    """Return the mean RMS error of the windows of scenarios, m."""
+    windows = [
+        window["mean_rms_m"]
+        for scenario in scenarios
+        for window in testbed.run(scenario, write=False).metrics["windows"].values()
+    ]
+    return float(np.mean(windows))
+
+
 TABLES = {
+    "profiles": text_of_profiles,
     "modes": text_of_modes,
     "margins": text_of_margins,
     "delays": text_of_delays,
