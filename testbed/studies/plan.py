@@ -71,6 +71,7 @@ class StudyRun:
         overrides: changed keys, as for `--set`, without the seed; paths from `folder`.
         duration_s: as for `--duration`.
         folder: of the study file.
+        margins_at_deg: bank at which margins are predicted; None: it is flown.
     """
 
     number: int
@@ -81,17 +82,21 @@ class StudyRun:
     overrides: tuple[str, ...]
     duration_s: float | None
     folder: Path
+    margins_at_deg: float | None = None
 
     @property
     def command(self) -> str:
         """Shell command that repeats the run from here, to the bit with the same versions."""
-        words, here = ["testbed", "run", self.scenario], Path.cwd().resolve()
+        flown = self.margins_at_deg is None
+        words = ["testbed", "run" if flown else "margins", self.scenario]
+        here = Path.cwd().resolve()
         for each in self.overrides:
             same = here == self.folder
             words += ["--set", each if same else setting_from_here(each, self.folder, here)]
         if self.duration_s is not None:
             words += ["--duration", repr(self.duration_s).removesuffix(".0")]
-        return shlex.join([*words, "--seed", str(self.seed)])
+        words += ["--seed", str(self.seed)] if flown else ["--bank", f"{self.margins_at_deg:g}"]
+        return shlex.join(words)
 
 
 def load_study(name_or_path: str | Path) -> Study:
@@ -121,6 +126,8 @@ class Plan(Sequence[StudyRun]):
         self.cases: tuple[str, ...] = tuple(config.cases) or ("",)
         self.keys: tuple[str, ...] = tuple(config.vary)
         self.seeds: tuple[int, ...] = config.study.seeds
+        predict = config.study.predict
+        self.margins_at_deg = None if predict is None else predict.margins_at_deg
         self._values = tuple(config.vary.values())
         self._counts = tuple(each.level_count for each in self._values)
         self.point_count: int = config.study.samples or math.prod(self._counts)
@@ -163,6 +170,7 @@ class Plan(Sequence[StudyRun]):
             tuple(f"{key}={to_inline(value)}" for key, value in {**changes, **values}.items()),
             config.study.duration_s,
             self.folder,
+            self.margins_at_deg,
         )
 
     def point(self, index: int) -> dict[str, Value]:

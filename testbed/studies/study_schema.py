@@ -11,7 +11,16 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BeforeValidator, ConfigDict, Field, WithJsonSchema, model_validator
 from pydantic_core import PydanticCustomError
 
-from testbed.scenario.fields import SMALLEST, Name, Number, Seconds, Section, Whole, raise_findings
+from testbed.scenario.fields import (
+    SMALLEST,
+    Degrees,
+    Name,
+    Number,
+    Seconds,
+    Section,
+    Whole,
+    raise_findings,
+)
 
 MAX_RUNS = 1_000_000
 MAX_SEEDS = 100_000
@@ -137,6 +146,17 @@ def _exact(number: float) -> Fraction:
     return Fraction(repr(number))
 
 
+class Predicted(Section):
+    """What is predicted of each point, without flying it."""
+
+    margins_at_deg: Degrees = Field(
+        ge=0,
+        le=60,
+        description="Margins in steady flight at this bank of the follower that banks most, "
+        "degrees; 0: straight.",
+    )
+
+
 class StudySettings(Section):
     """The section `study`: what is flown, and how often."""
 
@@ -169,6 +189,9 @@ class StudySettings(Section):
     metrics: tuple[str, ...] = Field(
         (), description="Numbers of metrics.json to show first, their keys joined by dots."
     )
+    predict: Predicted | None = Field(
+        None, description="Numbers to predict from the linearised formation in place of flights."
+    )
 
 
 class StudyConfig(Section):
@@ -193,7 +216,12 @@ def _check(config: StudyConfig) -> list[KeyProblem]:
     problems = [each for key, values in config.vary.items() for each in _check_values(key, values)]
     if problems:
         return problems
-    return [*_check_design(config), *_check_keys(config), *_check_lists(config)]
+    return [
+        *_check_design(config),
+        *_check_keys(config),
+        *_check_lists(config),
+        *_check_prediction(config.study),
+    ]
 
 
 def _check_values(key: str, values: Variation) -> Iterator[KeyProblem]:
@@ -252,6 +280,17 @@ def _check_design(config: StudyConfig) -> Iterator[KeyProblem]:
                     "is a distribution, which a factorial design cannot have (write its levels, as "
                     "{from: 0, to: 1, count: 5}, or design: latin-hypercube)",
                 )
+
+
+def _check_prediction(settings: StudySettings) -> Iterator[KeyProblem]:
+    if settings.predict is None:
+        return
+    if settings.duration_s is not None:
+        text = "is of flights, and study.predict flies none (leave one of the two out)"
+        yield ("study", "duration_s"), text
+    if len(settings.seeds) > 1:
+        text = f"are {len(settings.seeds)}, and no seed changes what study.predict predicts"
+        yield ("study", "seeds"), f"{text} (leave seeds out)"
 
 
 def _check_keys(config: StudyConfig) -> Iterator[KeyProblem]:

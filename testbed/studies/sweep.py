@@ -14,6 +14,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,7 @@ from testbed.studies.flight_task import COMPLETED, OUTCOMES, FlightResult, Fligh
 from testbed.studies.journal import Journal, JournalRow, flatten_metrics
 from testbed.studies.plan import Plan, Study, load_study
 from testbed.studies.plan_check import check_plan
+from testbed.studies.predicted_numbers import predict_numbers
 from testbed.studies.scenario_snapshot import differences, file_digests, snapshot
 from testbed.studies.table import (
     StudyOutput,
@@ -54,6 +56,7 @@ FLIGHT_PACKAGES = (
     *("core", "atmosphere", "autopilot", "commands", "flight", "formation", "guidance", "logs"),
     *("mavlink", "metrics", "network", "plan", "runs", "scenario", "sensors", "studies", "vehicle"),
 )
+PREDICTION_PACKAGES = ("trials",)  # and a prediction
 _PACKAGE = Path(__file__).parents[1]
 _LEFT_OUT = ("name", "question", "metrics")  # settings that change no row
 
@@ -285,12 +288,14 @@ def _missing_points(plan: Plan, journal: Journal) -> Iterator[Iterator[FlightTas
 def _missing_tasks(plan: Plan, journal: Journal, runs: Iterable[int]) -> Iterator[FlightTask]:
     """Yield the tasks of those runs of a point that the journal does not have."""
     scenario: Scenario | None = None
+    bank_deg = plan.margins_at_deg
+    measure = None if bank_deg is None else partial(predict_numbers, bank_deg)
     for number in runs:
         if number not in journal:
             try:
                 # read once: several points are flown at the same time
                 scenario = scenario or plan.scenario(plan[number])
-                yield FlightTask(number, set_seed(scenario, plan[number].seed))
+                yield FlightTask(number, set_seed(scenario, plan[number].seed), measure=measure)
             except ScenarioError as error:
                 yield FlightTask(number, None, f"invalid: {error}")
 
@@ -320,13 +325,14 @@ def _make_inputs(plan: Plan, scenarios: Mapping[str, Scenario]) -> dict[str, Any
     files: dict[str, str] = {}
     for scenario in scenarios.values():
         files |= file_digests(scenario)
+    packages = FLIGHT_PACKAGES + (() if plan.margins_at_deg is None else PREDICTION_PACKAGES)
     inputs = {
         "study": config,
         "scenarios": {case: snapshot(scenario, folder) for case, scenario in scenarios.items()},
         "expect": {case: scenario.expect.model_dump() for case, scenario in scenarios.items()},
         "files": files,
         "versions": versions(),
-        "code": {"testbed": source_digest(_PACKAGE, FLIGHT_PACKAGES)[:12]},
+        "code": {"testbed": source_digest(_PACKAGE, packages)[:12]},
     }
     plain: dict[str, Any] = json.loads(json.dumps(inputs))
     return plain
