@@ -190,6 +190,7 @@ def running_quantiles(
 
 Value = float | int | bool | str
 RANDOM_DESIGNS = ("latin-hypercube", "monte-carlo")
+MAP = "map"  # a design whose points are refined while it is flown
 LAW = "controller.law"  # flights of different laws are not pooled
 MAX_GROUPS = 12  # of cases and laws; more are pooled
 MAX_LEVELS = 12  # numbers of a parameter that are drawn one by one; of more, as a scatter
@@ -348,6 +349,8 @@ class StudyData:
         command: returns the command that repeats a flight, by its number.
         repeat: the command that repeats the study.
         missing: metrics that the study names and no flight has.
+        refined_metric: of a map, by which it was refined; "": of no map.
+        contour: value of that metric whose contour is drawn.
     """
 
     name: str
@@ -364,11 +367,18 @@ class StudyData:
     command: Callable[[int], str] = str
     repeat: str = ""
     missing: tuple[str, ...] = ()
+    refined_metric: str = ""
+    contour: float | None = None
 
     @property
     def random(self) -> bool:
         """Whether points were drawn, so that points instead of seeds are independent."""
         return self.design in RANDOM_DESIGNS
+
+    @property
+    def is_map(self) -> bool:
+        """Whether the points are a part of a grid, finer where the metric changes."""
+        return self.design == MAP
 
     @property
     def unit_name(self) -> str:

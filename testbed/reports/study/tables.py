@@ -158,7 +158,7 @@ def verdict(difference: IntervalEstimate) -> str:
 def effects(study: StudyData) -> ReportTable | None:
     """Tabulate the effect of each parameter on each metric."""
     flights = study.flights
-    if not flights.parameters:
+    if not flights.parameters or study.is_map:  # more points where the metric changes
         return None
     out: list[tuple[Cell, ...]] = []
     titles = [flights.groups_title] if flights.groups_title else []
