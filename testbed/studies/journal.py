@@ -12,7 +12,7 @@ import json
 import math
 import os
 import stat
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -173,22 +173,22 @@ class Journal:
             }
         )
 
-    def rows(self) -> Iterator[JournalRow]:
-        """Iterate over the rows, in order of their runs."""
-        for run in sorted(self._offsets):
+    def rows(self, needs: Callable[[int], bool] = lambda run: True) -> Iterator[JournalRow]:
+        """Iterate over the rows of the runs that are needed, in order of their runs."""
+        for run in filter(needs, sorted(self._offsets)):
             self._file.seek(self._offsets[run])
             line = parse_json_map(self._file.readline())
             numbers = dict(zip(self._names[line["names"]], line["values"], strict=True))
             yield JournalRow(run, line["outcome"], line["error"], numbers)
 
-    def names(self) -> tuple[str, ...]:
-        """Return the names of all numbers, in order of the first run that has them.
+    def names(self, needs: Callable[[int], bool] = lambda run: True) -> tuple[str, ...]:
+        """Return the names of the numbers of needed runs, in order of the first that has them.
 
         A name is left out if other runs have names below it: there it is a missing part.
         """
         seen: set[int] = set()
         names: dict[str, None] = {}
-        for row in self.rows():
+        for row in self.rows(needs):
             index = self._name_index[tuple(row.metrics)]
             if index not in seen:
                 seen.add(index)

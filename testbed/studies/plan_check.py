@@ -78,8 +78,9 @@ def check_plan(plan: Plan) -> CheckedPlan:
             raise first
         with suppress(ScenarioError):
             scenarios[case] = plan.case_scenario(index)
-    metrics = enumerate(plan.study.config.study.metrics)
-    flown.check_metrics([(("study", "metrics", k), name) for k, name in metrics])
+    settings = plan.study.config.study
+    metrics = [(("study", "metrics", k), name) for k, name in enumerate(settings.metrics)]
+    flown.check_metrics([*metrics, *settings.deciding_metrics])
     flown.check_code()
     return CheckedPlan(scenarios, checked, invalid, example)
 

@@ -14,6 +14,7 @@ from pydantic_core import PydanticCustomError
 from testbed.scenario.fields import (
     SMALLEST,
     Degrees,
+    KeyPath,
     Name,
     Number,
     Seconds,
@@ -21,6 +22,7 @@ from testbed.scenario.fields import (
     Whole,
     raise_findings,
 )
+from testbed.studies.sequential_interval import MIN_VALUES
 
 MAX_RUNS = 1_000_000
 MAX_SEEDS = 100_000
@@ -28,7 +30,7 @@ CASE_SCENARIO = "scenario"  # the key of a case that names a scenario, and chang
 
 Value = bool | int | float | str
 """A value of a scenario key."""
-KeyProblem = tuple[tuple[str | int, ...], str]
+KeyProblem = tuple[KeyPath, str]
 """The path of a key in the file, and what is wrong with it."""
 
 _FORMS = "a list, {from, to, count}, {from, to, step}, {uniform: [a, b]}, {log_uniform: [a, b]}, "
@@ -157,6 +159,27 @@ class Predicted(Section):
     )
 
 
+class Until(Section):
+    """The section `until`: how well a number is to be known at each point."""
+
+    metric: str = Field(
+        min_length=1, description="A number of metrics.json, its keys joined by dots."
+    )
+    half_width: Number = Field(
+        ge=SMALLEST,
+        description="A point is flown with further seeds until the interval of the mean is within "
+        "plus or minus this, in the unit of the metric.",
+    )
+    confidence: Number = Field(
+        0.95,
+        ge=0.5,
+        le=0.9999,
+        description="That the mean is within the interval at whatever number of flights it is "
+        "looked at.",
+    )
+    statistic: Literal["mean"] = Field("mean", description="Over the seeds of a point: mean.")
+
+
 class StudySettings(Section):
     """The section `study`: what is flown, and how often."""
 
@@ -186,12 +209,31 @@ class StudySettings(Section):
     seeds: Annotated[tuple[Seed, ...], BeforeValidator(_expand_seeds)] = Field(
         (1,), min_length=1, description="Seeds of the flights: their number, or a list."
     )
+    until: Until | None = Field(
+        None,
+        description="When a point has been flown often enough; seeds is then the largest number.",
+    )
     metrics: tuple[str, ...] = Field(
         (), description="Numbers of metrics.json to show first, their keys joined by dots."
     )
     predict: Predicted | None = Field(
         None, description="Numbers to predict from the linearised formation in place of flights."
     )
+
+    @property
+    def shown_metrics(self) -> tuple[str, ...]:
+        """The numbers to show first: `metrics`, or else the one that decides what is flown."""
+        return self.metrics or tuple(name for _, name in self.deciding_metrics)
+
+    @property
+    def deciding_metrics(self) -> tuple[tuple[KeyPath, str], ...]:
+        """The numbers on which it depends what is flown, with their places in the file."""
+        return ((("study", "until", "metric"), self.until.metric),) if self.until else ()
+
+    @property
+    def chooses_runs(self) -> bool:
+        """Whether results decide which runs of the plan are flown."""
+        return self.until is not None
 
 
 class StudyConfig(Section):
@@ -322,3 +364,10 @@ def _check_lists(config: StudyConfig) -> Iterator[KeyProblem]:
     runs = points * max(1, len(config.cases)) * len(settings.seeds)
     if runs > MAX_RUNS:
         yield ("study",), f"has {runs:,} runs (write fewer than {MAX_RUNS:,})"
+    if settings.until is not None and len(settings.seeds) < MIN_VALUES:
+        few = f"{len(settings.seeds)} seed{'s' * (len(settings.seeds) > 1)}"
+        yield (
+            ("study", "seeds"),
+            f"has {few}, the most that until may fly at a point (write {MIN_VALUES} or more, for "
+            "example 200)",
+        )
