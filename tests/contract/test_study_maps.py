@@ -10,7 +10,7 @@ from report_pages import stands_alone
 from study_samples import METRIC, flights_of, study_of
 
 from testbed.reports.html import render_page, save_figures
-from testbed.reports.study import study_figures, study_page
+from testbed.reports.study import study_figures, study_page, tables
 from testbed.reports.study.maps import study_map
 from testbed.views.matplotlib_backend import figure_svg
 
@@ -97,6 +97,20 @@ def test_area_is_lost_from_half_of_the_flights_on():
     # the mean over the seeds that were completed
     assert few.values[0, 0] == pytest.approx(1.5)
     assert few.values[-1, -1] == pytest.approx(radius(N, N) + 2.0)
+
+
+def test_boundary_is_between_neighbouring_points():
+    """Of each row of the map; seen from the side of the completed flights."""
+    study = map_of()
+    table = tables.boundary(study)
+    assert table.columns[:2] == (Y, f"completed at {X}")
+    assert len(table.rows) > N // 3
+    for level, completed, beyond, outcome in table.rows:
+        k = (level - 2.0) * N / 8.0
+        inside, outside = (radius(10.0 * N * at, k) for at in (completed, beyond))
+        assert inside <= RADIUS < outside and outside - inside < 4.5 / N
+        assert outcome == "lost"
+    assert tables.boundary(replace(study, design="factorial")) is None
 
 
 def test_page_has_the_map_and_no_biased_figure():

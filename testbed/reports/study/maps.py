@@ -6,16 +6,16 @@ Contours are those of a linear interpolation between the points (Delaunay triang
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import LinearNDInterpolator
 
-from testbed.core.records import Array, BoolArray
+from testbed.core.records import Array
 from testbed.reports.figure_spec import FigureSpec
+from testbed.reports.study.map_points import LOST_SHARE, MapPoints, map_axes, map_points
 from testbed.reports.study.parameter_plots import MAX_ACROSS, MAX_BESIDE, in_pairs
 from testbed.reports.study.study_data import (
     FlightGroup,
@@ -28,7 +28,6 @@ from testbed.reports.study.study_data import (
 )
 from testbed.views.panels import BLACK, FieldMap, Line, Panel
 
-LOST_SHARE = 0.5  # of the flights of a point, from which on it counts as lost
 MAX_UP = 20  # letters of a line of a label beside a map
 LOG_RATIO = 10.0  # of the largest to the smallest value, from which on colours are logarithmic
 PANEL_IN = 5.2  # height of a row
@@ -36,34 +35,14 @@ MARKERS = ("x", "^", "s", "v", "D", "P")  # of outcomes
 FLOWN = "point with completed flights"
 
 
-@dataclass(frozen=True)
-class MapPoints:
-    """Points of one group of flights on a plane.
-
-    Args:
-        x: (P,) values of the first parameter.
-        y: (P,) values of the second one.
-        values: (P,) the metric; NaN where no flight was completed.
-        lost: (P,) share of the flights that were not completed, 0 to 1.
-        outcomes: (P,) the most frequent outcome of those.
-    """
-
-    x: Array
-    y: Array
-    values: Array
-    lost: Array
-    outcomes: Sequence[str]
-
-
 def study_map(study: StudyData, metric: str) -> FigureSpec | None:
     """Draw the metric over the two parameters of a map."""
-    flights = study.flights
-    numeric = [each for each in flights.parameters if each.numeric]
-    if not study.is_map or len(numeric) != 2:
+    axes = map_axes(study)
+    if axes is None:
         return None
-    x, y = numeric
+    x, y = axes
     panels: list[Panel] = []
-    for group in flights.groups:
+    for group in study.flights.groups:
         panel = _panel(study, metric, x, y, group)
         if panel is not None:
             panels.append(panel)
@@ -91,7 +70,7 @@ def study_map(study: StudyData, metric: str) -> FigureSpec | None:
 def _panel(
     study: StudyData, metric: str, x: Parameter, y: Parameter, group: FlightGroup
 ) -> Panel | None:
-    points = _points(study, metric, x, y, group.flights)
+    points = map_points(study, metric, (x, y), group.flights)
     known = points.values[np.isfinite(points.values) & (points.lost < LOST_SHARE)]
     if len(np.unique(points.x)) < 2 or len(np.unique(points.y)) < 2 or not known.size:
         return None
@@ -119,25 +98,6 @@ def _panel(
             edge_label="boundary of completed flights",
         ),
     )
-
-
-def _points(
-    study: StudyData, metric: str, x: Parameter, y: Parameter, where: BoolArray
-) -> MapPoints:
-    """Return the points of a group of flights (R,)."""
-    flights = study.flights
-    outcome = np.array(flights.outcome, dtype=object)
-    rows: list[tuple[float, float, float, float]] = []
-    outcomes: list[str] = []
-    for i, k in sorted({*zip(x.index[where].tolist(), y.index[where].tolist(), strict=True)}):
-        here = where & (x.index == i) & (y.index == k)
-        ends = Counter(outcome[here & ~flights.completed].tolist())
-        share = ends.total() / int(here.sum())
-        value = study.centre(metric, here)
-        rows.append((float(x.numbers[i]), float(y.numbers[k]), value, share))
-        outcomes.append(ends.most_common(1)[0][0] if ends else "")
-    at_x, at_y, values, lost = np.array(rows).T
-    return MapPoints(at_x, at_y, values, lost, outcomes)
 
 
 def _grid(values: Array) -> Array:

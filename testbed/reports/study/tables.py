@@ -11,6 +11,7 @@ import numpy as np
 
 from testbed.core.files import write_text_file
 from testbed.core.records import BoolArray
+from testbed.reports.study.map_points import LOST_SHARE, map_axes, map_points
 from testbed.reports.study.report_table import Cell, ReportTable
 from testbed.reports.study.study_data import (
     MAX_LEVELS,
@@ -33,7 +34,7 @@ GROUPS = 4  # of a parameter with many numbers
 def study_tables(study: StudyData) -> Iterator[ReportTable]:
     """Yield the tables for which the study has data."""
     yield overview(study)
-    for table in (effects(study), cases(study)):
+    for table in (boundary(study), effects(study), cases(study)):
         if table is not None:
             yield table
     yield from points(study)
@@ -92,6 +93,34 @@ def overview(study: StudyData) -> ReportTable:
     )
     columns = (*columns, "least", "5 %", "95 %", "largest")
     return ReportTable("overview", "Overview", columns, out, note)
+
+
+def boundary(study: StudyData) -> ReportTable | None:
+    """Tabulate between which points of a map flights are no longer completed."""
+    axes, flights = map_axes(study), study.flights
+    if axes is None or not study.metrics:
+        return None
+    x, y = (each.key for each in axes)
+    titles = [flights.groups_title] if flights.groups_title else []
+    out: list[tuple[Cell, ...]] = []
+    for group in flights.groups:
+        found = map_points(study, study.metrics[0], axes, group.flights)
+        name = [group.name] if titles else []
+        for level in np.unique(found.y).tolist():
+            row = np.flatnonzero(found.y == level)  # in order of x
+            kept = found.lost[row] < LOST_SHARE
+            for k in np.flatnonzero(kept[1:] != kept[:-1]).tolist():
+                both = row[[k, k + 1]] if kept[k] else row[[k + 1, k]]
+                at, beyond = found.x[both].tolist()
+                out.append((*name, level, at, beyond, found.outcomes[both[1]].replace("_", " ")))
+    if not out:
+        return None
+    note = (
+        "Neighbouring points of a row of the map of which one is completed, and of the other at"
+        " least half of the flights are not."
+    )
+    columns = (*titles, y, f"completed at {x}", "not completed at", "most ended")
+    return ReportTable("boundary", "Boundary of completed flights", columns, out, note)
 
 
 def points(study: StudyData) -> Iterator[ReportTable]:
