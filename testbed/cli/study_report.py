@@ -205,6 +205,8 @@ def read_study(path: Path, *, metrics: Sequence[str], statistic: str) -> StudyDa
         versions={key: str(value) for key, value in table.json("versions.json").items()},
         files={name: table.metadata.get(name, "") for name in ("study.yaml", "scenario.yaml")},
         command=lambda run: str(commands[run]),
+        refined_metric=head.refine.metric if head and head.refine else "",
+        contour=head.refine.contour if head and head.refine else None,
         repeat="testbed sweep study.yaml",
     )
 

@@ -60,12 +60,14 @@ class JournalRow:
         outcome: one of `flight_task.OUTCOMES`.
         error: reason for any outcome but "completed", or the violated bounds of a completed run.
         metrics: numbers by name, as `windows.circles.mean_rms_m`; None for null.
+        any_seed: whether it has the same numbers with any other seed; False: unknown.
     """
 
     run: int
     outcome: str
     error: str
     metrics: Numbers
+    any_seed: bool = False
 
 
 def flatten_metrics(metrics: Mapping[str, Any]) -> dict[str, float | None]:
@@ -170,6 +172,7 @@ class Journal:
                 "error": row.error,
                 "names": self._name_index[names],
                 "values": list(row.metrics.values()),
+                **({"any_seed": True} if row.any_seed else {}),
             }
         )
 
@@ -179,7 +182,8 @@ class Journal:
             self._file.seek(self._offsets[run])
             line = parse_json_map(self._file.readline())
             numbers = dict(zip(self._names[line["names"]], line["values"], strict=True))
-            yield JournalRow(run, line["outcome"], line["error"], numbers)
+            any_seed = line.get("any_seed", False)
+            yield JournalRow(run, line["outcome"], line["error"], numbers, any_seed)
 
     def names(self, needs: Callable[[int], bool] = lambda run: True) -> tuple[str, ...]:
         """Return the names of the numbers of needed runs, in order of the first that has them.
@@ -301,6 +305,8 @@ class Journal:
             raise ValueError("a value is not a number")
         if line["outcome"] not in OUTCOMES or not isinstance(line["error"], str):
             raise ValueError("its outcome is unknown, or its error is not a text")
+        if not isinstance(line.get("any_seed", False), bool):
+            raise ValueError("its any_seed is neither true nor false")
         return int(run)
 
 

@@ -1,8 +1,9 @@
 """Runs of a study: number, case, point and seed of each, and its scenario.
 
-A plan depends on the study file only. Runs are ordered by case, then point, then seed. In a
-factorial design the last key changes fastest; in the other designs each key draws from its own
-random stream, so that adding a key changes no other key's values. All cases have the same points.
+A plan depends on the study file only; which of its runs are flown is the subject of `run_choice`.
+Runs are ordered by case, then point, then seed. In a factorial design and a map the last key
+changes fastest; in the other designs each key draws from its own random stream, so that adding a
+key changes no other key's values. All cases have the same points.
 """
 
 from __future__ import annotations
@@ -129,8 +130,8 @@ class Plan(Sequence[StudyRun]):
         predict = config.study.predict
         self.margins_at_deg = None if predict is None else predict.margins_at_deg
         self._values = tuple(config.vary.values())
-        self._counts = tuple(each.level_count for each in self._values)
-        self.point_count: int = config.study.samples or math.prod(self._counts)
+        self.level_counts: tuple[int, ...] = tuple(each.level_count for each in self._values)
+        self.point_count: int = config.study.samples or math.prod(self.level_counts)
         self._drawn = _draw(config) if config.study.samples else None
         self._drafts = {case: self._open(case) for case in self.cases}
         # all seeds of a point share one scenario
@@ -180,7 +181,7 @@ class Plan(Sequence[StudyRun]):
             return {key: values.quantile(drawn[index]) for key, values, drawn in each}
         point: dict[str, Value] = {}
         for key, values, count in zip(
-            reversed(self.keys), reversed(self._values), reversed(self._counts), strict=True
+            reversed(self.keys), reversed(self._values), reversed(self.level_counts), strict=True
         ):
             index, level = divmod(index, count)
             point[key] = values.level(level)

@@ -7,12 +7,15 @@ flight ends first: the content of a result file is the same for any workers and 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Protocol
 
+import numpy as np
+
 from testbed.studies.flight_task import COMPLETED
 from testbed.studies.journal import JournalRow
+from testbed.studies.map_refinement import points_to_add
 from testbed.studies.plan import Plan
 from testbed.studies.point_runs import PointRuns
 
@@ -32,6 +35,10 @@ class RunChoice(Protocol):
     def done(self) -> int:
         """Number of them whose rows have been added; equal to `total` at the end."""
 
+    @property
+    def round_text(self) -> str:
+        """What is flown next, where that is decided in rounds; else empty."""
+
     def needs(self, run: int) -> bool:
         """Return whether a run is needed."""
 
@@ -41,12 +48,11 @@ class RunChoice(Protocol):
     def add(self, row: JournalRow) -> None:
         """Add a row, of a run that may turn out not to be needed."""
 
-    def settle(self, run: int) -> None:
-        """Take note that no seed changes the point of a run."""
-
 
 class AllRuns:
     """Every run of a plan."""
+
+    round_text = ""
 
     def __init__(self, plan: Plan) -> None:
         """Begin without rows."""
@@ -66,21 +72,38 @@ class AllRuns:
         """Count a row."""
         self.done += 1
 
-    def settle(self, run: int) -> None:
-        """Do nothing: the other seeds have rows with the same numbers."""
-
 
 class ChosenRuns:
-    """Runs of all points, each with as many seeds as its numbers ask for."""
+    """Runs that the rules of a study choose, round by round.
+
+    A round is a set of points: all points; or of a map the next ones by what the points of earlier
+    rounds gave. It ends when each of its points has as many seeds as its numbers ask for.
+    """
 
     def __init__(self, plan: Plan) -> None:
         """Begin without rows."""
-        self._until = plan.study.config.study.until
+        settings = plan.study.config.study
+        self._until, self._refine = settings.until, settings.refine
+        self._metric = settings.deciding_metrics[0][1]
         self._seeds = len(plan.seeds)
-        self._points: dict[int, PointRuns] = {}
+        self._shape = (len(plan.cases), *plan.level_counts)
+        self._count = len(plan.cases) * plan.point_count
+        self._points: dict[int, PointRuns] = {}  # of this round and the earlier ones
         self._open: dict[int, None] = {}  # points that are not finished, in order
+        self._waiting: dict[int, list[JournalRow]] = {}  # of later rounds of a resumed study
+        self._round = 0
         self.total = self.done = 0
-        self._choose(range(len(plan) // self._seeds))
+        self._begin_rounds()
+
+    @property
+    def round_text(self) -> str:
+        """What a map flies in this round; empty without rounds."""
+        if self._refine is None:
+            return ""
+        return (
+            f"round {self._round}: {len(self._open):,} points, with which the map has "
+            f"{len(self._points):,} of {self._count:,}"
+        )
 
     def needs(self, run: int) -> bool:
         """Return whether a run is one of the first seeds that its point needs."""
@@ -88,27 +111,29 @@ class ChosenRuns:
         return point in self._points and seed < self._points[point].needed
 
     def open_points(self) -> Sequence[int]:
-        """Return the points that are not finished."""
+        """Return the points of this round that are not finished."""
         return tuple(self._open)
 
     def add(self, row: JournalRow) -> None:
         """Add a row, which may decide what else is needed."""
+        point = row.run // self._seeds
+        if point in self._points:
+            self._add(row)
+            self._begin_rounds()
+        else:
+            self._waiting.setdefault(point, []).append(row)
+
+    def _add(self, row: JournalRow) -> None:
+        """Add a row of a point that is chosen."""
         point, seed = divmod(row.run, self._seeds)
-        number = _number(row, self._until.metric) if self._until else None
+        number: float | None = None  # the flight was not completed
+        if row.outcome == COMPLETED:
+            found = row.metrics.get(self._metric)
+            number = math.nan if found is None else found
         with self._counted(point) as runs:
             runs.add(seed, number)
-
-    def settle(self, run: int) -> None:
-        """Take note that no seed changes the point of a run."""
-        with self._counted(run // self._seeds) as runs:
-            runs.settle()
-
-    def _choose(self, points: Iterable[int]) -> None:
-        """Add points to be flown."""
-        for point in points:
-            runs = self._points[point] = PointRuns(self._seeds, self._until)
-            self._open[point] = None
-            self.total += runs.needed
+            if row.any_seed:
+                runs.settle()
 
     @contextmanager
     def _counted(self, point: int) -> Iterator[PointRuns]:
@@ -122,13 +147,36 @@ class ChosenRuns:
         if runs.finished:
             self._open.pop(point, None)
 
+    def _begin_rounds(self) -> None:
+        """Begin the next round, if this one has ended; and as many as have their rows already."""
+        while not self._open and (points := self._next_points()):
+            self._round += 1
+            for point in points:
+                self._points[point] = runs = PointRuns(self._seeds, self._until)
+                self._open[point] = None
+                self.total += runs.needed
+            for point in points:
+                for row in self._waiting.pop(point, ()):
+                    self._add(row)
 
-def _number(row: JournalRow, metric: str) -> float | None:
-    """Return a metric of a row; NaN: it has none; None: its flight was not completed."""
-    if row.outcome != COMPLETED:
-        return None
-    number = row.metrics.get(metric)
-    return math.nan if number is None else number
+    def _next_points(self) -> Sequence[int]:
+        """Return the points of the next round; none after the last one."""
+        if self._refine is None:
+            return () if self._points else range(self._count)
+        if len(self._points) == self._count:
+            return ()
+        values = np.full(self._count, math.nan)
+        flown, completed = np.zeros((2, self._count), dtype=np.bool_)
+        for point, runs in self._points.items():
+            values[point], flown[point] = runs.mean, True
+            completed[point] = 2 * runs.completed > runs.needed  # most of its flights
+        refine, shape = self._refine, self._shape
+        of_cases = zip(
+            *(values.reshape(shape), flown.reshape(shape), completed.reshape(shape)), strict=True
+        )
+        wanted = [points_to_add(refine.levels, *each, refine.contour) for each in of_cases]
+        found: list[int] = np.flatnonzero(wanted).tolist()
+        return found
 
 
 def choose_runs(plan: Plan) -> RunChoice:

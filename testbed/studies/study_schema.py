@@ -26,6 +26,7 @@ from testbed.studies.sequential_interval import MIN_VALUES
 
 MAX_RUNS = 1_000_000
 MAX_SEEDS = 100_000
+MAX_LEVELS = 8  # of a map: cells of 256 points a side
 CASE_SCENARIO = "scenario"  # the key of a case that names a scenario, and changes no key of one
 
 Value = bool | int | float | str
@@ -180,6 +181,23 @@ class Until(Section):
     statistic: Literal["mean"] = Field("mean", description="Over the seeds of a point: mean.")
 
 
+class Refine(Section):
+    """The section `refine`: where a map of two keys is flown in detail."""
+
+    metric: str = Field(
+        min_length=1, description="The number of the map: of metrics.json, keys joined by dots."
+    )
+    levels: Whole = Field(
+        ge=1,
+        le=MAX_LEVELS,
+        description="How often a cell of the first grid, with every 2^levels-th value of each key, "
+        "can be halved.",
+    )
+    contour: Number | None = Field(
+        None, description="A value of the metric whose contour is flown in detail."
+    )
+
+
 class StudySettings(Section):
     """The section `study`: what is flown, and how often."""
 
@@ -198,9 +216,12 @@ class StudySettings(Section):
         description="End of the flights, instead of the scenario's, s.",
     )
     set: Mapping[str, Any] = Field({}, description="Scenario keys to change, as with --set.")
-    design: Literal["factorial", "latin-hypercube", "monte-carlo"] | None = Field(
+    design: Literal["factorial", "latin-hypercube", "monte-carlo", "map"] | None = Field(
         None,
         description="How points are made of vary: factorial, all combinations, is the default.",
+    )
+    refine: Refine | None = Field(
+        None, description="Which points of design map are flown, from the results of others."
     )
     samples: Whole | None = Field(
         None, ge=1, le=MAX_RUNS, description="Points of latin-hypercube and monte-carlo."
@@ -223,17 +244,20 @@ class StudySettings(Section):
     @property
     def shown_metrics(self) -> tuple[str, ...]:
         """The numbers to show first: `metrics`, or else the one that decides what is flown."""
-        return self.metrics or tuple(name for _, name in self.deciding_metrics)
+        return self.metrics or tuple(name for _, name in self.deciding_metrics[:1])
 
     @property
     def deciding_metrics(self) -> tuple[tuple[KeyPath, str], ...]:
         """The numbers on which it depends what is flown, with their places in the file."""
-        return ((("study", "until", "metric"), self.until.metric),) if self.until else ()
+        sections = {"until": self.until, "refine": self.refine}
+        return tuple(
+            (("study", name, "metric"), each.metric) for name, each in sections.items() if each
+        )
 
     @property
     def chooses_runs(self) -> bool:
         """Whether results decide which runs of the plan are flown."""
-        return self.until is not None
+        return bool(self.deciding_metrics)
 
 
 class StudyConfig(Section):
@@ -260,6 +284,7 @@ def _check(config: StudyConfig) -> list[KeyProblem]:
         return problems
     return [
         *_check_design(config),
+        *_check_map(config),
         *_check_keys(config),
         *_check_lists(config),
         *_check_prediction(config.study),
@@ -333,6 +358,45 @@ def _check_prediction(settings: StudySettings) -> Iterator[KeyProblem]:
     if len(settings.seeds) > 1:
         text = f"are {len(settings.seeds)}, and no seed changes what study.predict predicts"
         yield ("study", "seeds"), f"{text} (leave seeds out)"
+
+
+def _check_map(config: StudyConfig) -> Iterator[KeyProblem]:
+    settings = config.study
+    refine = settings.refine
+    if settings.design != "map":
+        if refine is not None:
+            yield ("study", "refine"), "is for design: map (leave it out, or change design)"
+        return
+    if refine is None:
+        yield (
+            ("study",),
+            "design map needs a section refine (write for example refine: {metric: "
+            "min_separation_m, levels: 3})",
+        )
+        return
+    if len(config.vary) != 2:
+        yield ("vary",), f"has {len(config.vary)} keys (write two, the axes of the map)"
+    step = 2**refine.levels
+    for key, values in config.vary.items():
+        if values.count is None:
+            yield (
+                ("vary", key),
+                "is an axis of a map (write evenly spaced numbers, as {from: 0, to: 1, count: "
+                f"{4 * step + 1}}})",
+            )
+        elif (values.count - 1) % step:
+            below = (values.count - 1) // step * step + 1
+            near = [str(each) for each in (below, below + step) if each > 1]
+            yield (
+                ("vary", key, "count"),
+                f"is {values.count}; with levels: {refine.levels} it is a multiple of {step} plus "
+                f"1 (write {' or '.join(near)})",
+            )
+    if settings.until is not None and settings.until.metric != refine.metric:
+        yield (
+            ("study", "until", "metric"),
+            f"is not the number of the map (write {refine.metric}, that of refine)",
+        )
 
 
 def _check_keys(config: StudyConfig) -> Iterator[KeyProblem]:

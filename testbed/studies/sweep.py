@@ -12,7 +12,7 @@ import os
 import re
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -226,26 +226,27 @@ def _fly(
         writer.write()
         progress(choice.done, choice.total)
         while open_points := choice.open_points():
+            if text := choice.round_text:
+                report(text)
             for result in pool.run_groups(_missing_points(plan, journal, choice, open_points)):
-                runs = [result.number]
+                runs: Sequence[int] = [result.number]
                 if not result.depends_on_seed:
-                    choice.settle(result.number)
-                    seeds = plan.seeds_of_point(result.number)
-                    points.add(seeds[0])
-                    runs += [k for k in seeds if k != result.number]
-                # without a copy, made while it was flown, and what is not needed any more
-                runs = [k for k in runs if k not in journal and choice.needs(k)]
-                if not runs:
-                    continue
+                    runs = plan.seeds_of_point(result.number)
+                    points.add(runs[0])
                 row = _to_row(result, journal.inputs["versions"])
-                warnings.report(result)
+                added = 0
                 for number in runs:
-                    own = replace(row, run=number)
-                    journal.add(own)
-                    choice.add(own)
-                    progress(choice.done, choice.total)
-                    writer.write_if_due()
-                copied, copies = copied + (len(runs) > 1), copies + len(runs) - 1
+                    # not a copy, made while it was flown, nor one that is not needed any more
+                    if number not in journal and choice.needs(number):
+                        own = replace(row, run=number)
+                        journal.add(own)
+                        choice.add(own)
+                        added += 1
+                        progress(choice.done, choice.total)
+                        writer.write_if_due()
+                if added:
+                    warnings.report(result)
+                    copied, copies = copied + (added > 1), copies + added - 1
         if copies:
             report(
                 f"no seed changes {_count(copied, 'point')}: {_count(copies, 'run')} with the "
@@ -341,15 +342,17 @@ def _to_row(result: FlightResult, expected: Mapping[str, str]) -> JournalRow:
     Raises:
         InputError: its worker has other versions than the study was started with.
     """
+    any_seed = not result.depends_on_seed
     if result.metrics is None:
-        return JournalRow(result.number, result.outcome, result.error, {})
+        return JournalRow(result.number, result.outcome, result.error, {}, any_seed)
     different = differences(expected, result.metrics["versions"])
     if different:
         raise InputError(
             f"run {result.number} was flown by a worker of other versions: {'; '.join(different)} "
             "(install the same versions for all workers)"
         )
-    return JournalRow(result.number, result.outcome, result.error, flatten_metrics(result.metrics))
+    numbers = flatten_metrics(result.metrics)
+    return JournalRow(result.number, result.outcome, result.error, numbers, any_seed)
 
 
 def _make_inputs(plan: Plan, scenarios: Mapping[str, Scenario]) -> dict[str, Any]:

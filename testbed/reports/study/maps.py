@@ -128,8 +128,8 @@ def _field(points: MapPoints, grid_x: Array, grid_y: Array) -> FieldMap:
 
 
 def _steps(values: Array, grid: Array) -> Array:
-    """Return values (P,) in steps of a grid from its first number."""
-    steps: Array = (values - grid[0]) / (grid[1] - grid[0])
+    """Return values (P,) in whole steps of a grid from its first number."""
+    steps: Array = np.rint((values - grid[0]) / (grid[1] - grid[0]))
     return steps
 
 
