@@ -106,11 +106,20 @@ def test_boundary_is_between_neighbouring_points():
     assert table.columns[:2] == (Y, f"completed at {X}")
     assert len(table.rows) > N // 3
     for level, completed, beyond, outcome in table.rows:
-        k = (level - 2.0) * N / 8.0
-        inside, outside = (radius(10.0 * N * at, k) for at in (completed, beyond))
+        k = (float(level) - 2.0) * N / 8.0
+        inside, outside = (radius(10.0 * N * float(at), k) for at in (completed, beyond))
         assert inside <= RADIUS < outside and outside - inside < 4.5 / N
         assert outcome == "lost"
     assert tables.boundary(replace(study, design="factorial")) is None
+
+
+def test_boundary_is_along_the_axis_it_crosses():
+    """Flights of the upper half are lost: no row has both kinds, each column has."""
+    rows = [("", 1, {X: 0.1 * i, Y: float(k)}, 1.0) for i in range(5) for k in range(4)]
+    lost = {n for n, row in enumerate(rows) if row[2][Y] >= 2.0}
+    table = tables.boundary(study_of(flights_of(rows, lost), design="map"))
+    assert table.columns[:3] == (X, f"completed at {Y}", "not completed at")
+    assert [row[1:] for row in table.rows] == 5 * [("1", "2", "lost")]
 
 
 def test_page_has_the_map_and_no_biased_figure():

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from testbed.core.files import write_text_file
-from testbed.core.records import BoolArray
-from testbed.reports.study.map_points import LOST_SHARE, map_axes, map_points
+from testbed.core.records import Array, BoolArray
+from testbed.reports.study.map_points import LOST_SHARE, MapPoints, map_axes, map_points
 from testbed.reports.study.report_table import Cell, ReportTable
 from testbed.reports.study.study_data import (
     MAX_LEVELS,
@@ -100,27 +100,40 @@ def boundary(study: StudyData) -> ReportTable | None:
     axes, flights = map_axes(study), study.flights
     if axes is None or not study.metrics:
         return None
-    x, y = (each.key for each in axes)
-    titles = [flights.groups_title] if flights.groups_title else []
-    out: list[tuple[Cell, ...]] = []
-    for group in flights.groups:
-        found = map_points(study, study.metrics[0], axes, group.flights)
-        name = [group.name] if titles else []
-        for level in np.unique(found.y).tolist():
-            row = np.flatnonzero(found.y == level)  # in order of x
-            kept = found.lost[row] < LOST_SHARE
-            for k in np.flatnonzero(kept[1:] != kept[:-1]).tolist():
-                both = row[[k, k + 1]] if kept[k] else row[[k + 1, k]]
-                at, beyond = found.x[both].tolist()
-                out.append((*name, level, at, beyond, found.outcomes[both[1]].replace("_", " ")))
-    if not out:
+    metric, titles = study.metrics[0], [flights.groups_title] if flights.groups_title else []
+    found = {group.name: map_points(study, metric, axes, group.flights) for group in flights.groups}
+    across = [(name, *each) for name, of in found.items() for each in _crossings(of.x, of.y, of)]
+    up = [(name, *each) for name, of in found.items() for each in _crossings(of.y, of.x, of)]
+    # along the first axis, if at least as many levels of the other one have a boundary
+    crossed, of_other = (len({row[:2] for row in rows}) for rows in (across, up))
+    (along, other), rows = (axes, across) if crossed >= of_other else (axes[::-1], up)
+    if not rows:
         return None
     note = (
-        "Neighbouring points of a row of the map of which one is completed, and of the other at"
+        f"Neighbouring points along {along.key} of which one is completed, and of the other at"
         " least half of the flights are not."
     )
-    columns = (*titles, y, f"completed at {x}", "not completed at", "most ended")
+    columns = (*titles, other.key, f"completed at {along.key}", "not completed at", "most ended")
+    out = [row if titles else row[1:] for row in rows]
     return ReportTable("boundary", "Boundary of completed flights", columns, out, note)
+
+
+def _crossings(along: Array, other: Array, points: MapPoints) -> Iterator[tuple[str, ...]]:
+    """Yield neighbours of which one is completed: level of the other axis, both, and the end.
+
+    Args:
+        along: (P,) values on the axis along which neighbours are looked for.
+        other: (P,) values on the other axis.
+        points: of the map.
+    """
+    for level in np.unique(other).tolist():
+        row = np.flatnonzero(other == level)
+        row = row[np.argsort(along[row])]
+        kept = points.lost[row] < LOST_SHARE
+        for k in np.flatnonzero(kept[1:] != kept[:-1]).tolist():
+            both = row[[k, k + 1]] if kept[k] else row[[k + 1, k]]
+            numbers = (level, *along[both].tolist())
+            yield (*map(format_level, numbers), points.outcomes[both[1]].replace("_", " "))
 
 
 def points(study: StudyData) -> Iterator[ReportTable]:
