@@ -94,6 +94,11 @@ FIRST_STUDIES: Final = ("what-matters-most", "radio-and-wind")
 STUDIES: Final[Mapping[str, str]] = {
     "radio-and-wind": "loss and wind together",
     "what-matters-most": "delay, loss, wind and gusts compared",
+    "loss-to-1-cm": "errors known to a centimetre",
+    "map-delay-and-loss": "error over message delay and loss",
+    "map-wind-and-turbulence": "error over wind and turbulence",
+    "map-bank-and-climb": "manoeuvres that can be followed",
+    "map-margins": "damping over two gains, predicted",
     "convergence": "rates of the flight models",
     "convergence-seeds": "the same in turbulence, saturation",
     "convergence-others": "rates of autopilot, control, samples",
@@ -283,7 +288,8 @@ def _all_studies() -> Iterator[tuple[str, Table]]:
     for name in sorted(list_studies(), key=lambda each: (each not in STUDIES, each)):
         study = load_study(name)
         line = STUDIES.get(name) or study.config.study.question
-        table.add_row(name, f"{len(Plan(study)):,} runs", line)
+        most = "≤ " if study.config.study.chooses_runs else ""
+        table.add_row(name, f"{most}{len(Plan(study)):,} runs", line)
     yield "studies (testbed sweep)", table
     yield _tuning_files()
 

@@ -188,7 +188,8 @@ def read_study(path: Path, *, metrics: Sequence[str], statistic: str) -> StudyDa
     flights = _flights(table)
     commands = dict(zip(flights.run.tolist(), table.columns["command"].tolist(), strict=True))
     head = config.study if config else None
-    selected, missing = _select_metrics(path, flights, metrics, head.metrics if head else ())
+    of_study = head.shown_metrics if head else ()
+    selected, missing = _select_metrics(path, flights, metrics, of_study)
     return StudyData(
         name=table.metadata.get("study.name", path.stem),
         file=path.name,
@@ -200,9 +201,12 @@ def read_study(path: Path, *, metrics: Sequence[str], statistic: str) -> StudyDa
         statistic=statistic,
         flights=flights,
         planned=table.planned,
+        uneven=head is not None and head.until is not None,
         versions={key: str(value) for key, value in table.json("versions.json").items()},
         files={name: table.metadata.get(name, "") for name in ("study.yaml", "scenario.yaml")},
         command=lambda run: str(commands[run]),
+        refined_metric=head.refine.metric if head and head.refine else "",
+        contour=head.refine.contour if head and head.refine else None,
         repeat="testbed sweep study.yaml",
     )
 

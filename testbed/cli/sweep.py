@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -24,6 +25,7 @@ from testbed.cli.output import (
 )
 
 if TYPE_CHECKING:
+    from testbed.studies.precision import PointPrecision
     from testbed.studies.summary import RunGroup, Summary
     from testbed.studies.sweep import SweepResult
 
@@ -116,6 +118,8 @@ def sweep_command(
     if not quiet:
         _print_summary(result, summary, result_console(json))
     else:
+        for line in _notes(result, summary):
+            messages.write_line(f"warning: {line}")
         for each in summary.failures:
             messages.write_line(f"warning: run {each['run']}: {each['error']}")
         if more := _bad(result) - len(summary.failures):
@@ -139,6 +143,8 @@ def _print_summary(result: SweepResult, summary: Summary, console: PipeSafeConso
             console.write_line()
             console.print(table)
         console.write_line(CAPTION, "dim italic")
+    if summary.precisions:
+        _print_precisions(result, summary, console)
     for name, hint in summary.unknown_metrics.items():
         console.write_line(f" no run has a number {name!r}{hint}", "yellow")
     for each in summary.failures:
@@ -150,6 +156,66 @@ def _print_summary(result: SweepResult, summary: Summary, console: PipeSafeConso
         console.write_line(f" … and {more} more", "dim")
     console.write_line()
     console.write_line(f" file  {result.path}")
+
+
+def _notes(result: SweepResult, summary: Summary) -> Iterator[str]:
+    """Yield lines on the points of a study with `until` that need a second look."""
+    from testbed.studies.precision import precision_notes
+
+    return precision_notes(result.study.config, summary.precisions)
+
+
+def _print_precisions(result: SweepResult, summary: Summary, console: PipeSafeConsole) -> None:
+    """Print how many flights each point needed, and which are not known as well as asked."""
+    from testbed.studies.summary import MAX_GROUPS
+
+    found, until = summary.precisions, result.study.config.study.until
+    assert until is not None
+    reached = [each.flights for each in found if each.reached]
+    flights = f" after {_range(reached)} flights each" if reached else ""
+    console.write_line()
+    console.write_line(f" mean of {until.metric}", "bold")
+    console.write_line(
+        f" within ± {until.half_width:g} at {100 * until.confidence:g} % at "
+        f"{len(reached):,} of {len(found):,} points{flights}"
+    )
+    if len(found) <= MAX_GROUPS:
+        console.write_line()
+        console.print(precision_table(found, console.width))
+    for line in _notes(result, summary):
+        console.write_line(f" {line}", "yellow")
+
+
+def _range(counts: Sequence[int]) -> str:
+    low, high = min(counts), max(counts)
+    return f"{low:,} to {high:,}" if low < high else f"{low:,}"
+
+
+def precision_table(found: Sequence[PointPrecision], width: int) -> Table:
+    """Return a table of settings, flights and means, where possible of at most this width."""
+    columns = [
+        _Column("flights", [f"{each.flights:,}" for each in found]),
+        *(
+            [_Column("lost", [f"{each.lost or ''}" for each in found])]
+            if any(each.lost for each in found)
+            else []
+        ),
+        _Column("mean", [_format_mean(each, each.mean) for each in found]),
+        _Column("±", [_format_mean(each, each.half_width) for each in found]),
+    ]
+    settings = _settings(found)
+    if settings and _width([*settings, *columns]) > width:
+        settings = [_stack(found, max(STACK_WIDTHS[0], width - _width(columns) - GAP))]
+    return _table([*settings, *columns])
+
+
+def _format_mean(each: PointPrecision, value: float) -> str:
+    """Format a mean or its half width with two digits of the half width."""
+    if not math.isfinite(value):
+        return MISSING
+    if not math.isfinite(each.half_width) or each.half_width == 0.0:
+        return f"{value:.4g}"
+    return f"{value:.{max(0, 1 - math.floor(math.log10(each.half_width)))}f}"
 
 
 def _bad(result: SweepResult) -> int:
@@ -232,7 +298,7 @@ def summary_tables(summary: Summary, width: int) -> Iterator[Table]:
     yield _table([*lead, *part])
 
 
-def _settings(groups: Sequence[RunGroup]) -> list[_Column]:
+def _settings(groups: Sequence[RunGroup | PointPrecision]) -> list[_Column]:
     """Make a column of the cases, if any, and one for each varying key."""
     cases = [group.case for group in groups]
     columns = [_Column("case", cases, justify="left")] if any(cases) else []
@@ -241,7 +307,7 @@ def _settings(groups: Sequence[RunGroup]) -> list[_Column]:
     return columns
 
 
-def _stack(groups: Sequence[RunGroup], width: int) -> _Column:
+def _stack(groups: Sequence[RunGroup | PointPrecision], width: int) -> _Column:
     """One column with a line for the case and lines for each key."""
     cells = []
     for group in groups:

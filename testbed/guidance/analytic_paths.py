@@ -137,6 +137,18 @@ class SpeedChangePath(CurveStart):
 Curve = StraightPath | CirclePath | FigureEightPath | SinusoidalPath | SpeedChangePath
 
 
+def turn_radius(bank: float, speed: float, climb: float = 0.0) -> float:
+    """Return the radius of a coordinated turn, m: g R tan φ = V² − w².
+
+    Args:
+        bank: φ, rad, above 0.
+        speed: V, over the ground, m/s.
+        climb: w, vertical speed, m/s.
+    """
+    level = math.sqrt(max(speed**2 - climb**2, 0.0))
+    return level**2 / (GRAVITY * math.tan(bank))
+
+
 def _max_lateral_acceleration() -> float:
     """Return the lateral acceleration, m/s², of a coordinated turn at `MAX_BANK`."""
     return GRAVITY * math.tan(MAX_BANK)

@@ -31,7 +31,7 @@ from testbed.guidance.flight_plan import (
 from testbed.guidance.recorded_path import SampledTrajectory, read_recording, sample_recording
 from testbed.plan.fleet import PlannedLeader
 from testbed.scenario import find_data
-from testbed.scenario.aircraft import Leg, Replay, Start, Virtual
+from testbed.scenario.aircraft import Circle, Leg, Replay, Start, Virtual
 from testbed.scenario.aircraft import Mission as MissionSection
 from testbed.vehicle.jsbsim_adapter import trim_aircraft
 from testbed.vehicle.trim import (
@@ -248,7 +248,7 @@ def _curve(section: Start, path: Virtual) -> paths.Curve:
         if curve.kind == "circle":
             return paths.CirclePath(
                 **begin,
-                radius=curve.radius_m,
+                radius=_circle_radius(curve, path.speed_mps),
                 clockwise=curve.direction == "clockwise",
                 climb=curve.climb_mps,
             )
@@ -261,3 +261,11 @@ def _curve(section: Start, path: Virtual) -> paths.Curve:
         return paths.SpeedChangePath(**begin, amplitude=curve.amplitude_mps, period=curve.period_s)
     except InputError as error:
         raise InputError(f"leader.path.curve.{error}") from error
+
+
+def _circle_radius(curve: Circle, speed: float) -> float:
+    """Return the radius of a circle, m, also of one that is given by its bank."""
+    if curve.radius_m is not None:
+        return curve.radius_m
+    assert curve.bank_deg is not None
+    return paths.turn_radius(math.radians(curve.bank_deg), speed, curve.climb_mps)

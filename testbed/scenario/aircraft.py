@@ -8,6 +8,7 @@ from pydantic import (
     Field,
     GetCoreSchemaHandler,
     GetJsonSchemaHandler,
+    SerializerFunctionWrapHandler,
     model_serializer,
     model_validator,
 )
@@ -240,13 +241,25 @@ class Circle(Section):
     """Circle, or with a climb a helix."""
 
     kind: Literal["circle"] = Field(description="Circle, or with a climb a helix.")
-    radius_m: Length = Field(ge=0.1, description="Radius, m.")
+    radius_m: Length | None = Field(
+        None, ge=0.1, description="Radius, m; either this or bank_deg is needed."
+    )
+    bank_deg: Degrees | None = Field(
+        None,
+        ge=0.1,
+        le=60,
+        description="Bank of a coordinated turn on the circle, degrees, in place of radius_m.",
+    )
     direction: Literal["clockwise", "anticlockwise"] = Field(
         "clockwise", description="Direction of the turn, seen from above."
     )
     climb_mps: MetresPerSecond = Field(
         0.0, ge=-MAX_SPEED_MPS, le=MAX_SPEED_MPS, description="Vertical speed, m/s."
     )
+
+    @model_serializer(mode="wrap")
+    def _given_size(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return {key: value for key, value in handler(self).items() if value is not None}
 
 
 class FigureEight(Section):

@@ -46,6 +46,7 @@ def cross_check(scenario: Sections) -> list[Finding]:
         *_starts(scenario),
         *_start_altitudes(scenario),
         *_laps(scenario),
+        *_circle(scenario),
         *_formation(scenario),
         *_slots(scenario),
         *_agents(scenario),
@@ -87,6 +88,20 @@ def _laps(scenario: Sections) -> Iterator[Finding]:
         yield (
             ("leader", "path", "legs", most, "laps"),
             f"the mission has {sum(counts):,} legs with all laps (write {MAX_LEGS:,} or fewer)",
+        )
+
+
+def _circle(scenario: Sections) -> Iterator[Finding]:
+    path = scenario.leader.path
+    if path.kind != "virtual" or path.curve.kind != "circle":
+        return
+    curve = path.curve
+    if (curve.radius_m is None) == (curve.bank_deg is None):
+        size = "neither radius_m nor bank_deg" if curve.radius_m is None else "both sizes"
+        yield (
+            ("leader", "path", "curve"),
+            f"has {size} (write one of the two, as in radius_m: 150 or bank_deg: 20; null takes an "
+            "inherited one back)",
         )
 
 

@@ -12,7 +12,7 @@ import json
 import math
 import os
 import stat
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -60,12 +60,14 @@ class JournalRow:
         outcome: one of `flight_task.OUTCOMES`.
         error: reason for any outcome but "completed", or the violated bounds of a completed run.
         metrics: numbers by name, as `windows.circles.mean_rms_m`; None for null.
+        any_seed: whether it has the same numbers with any other seed; False: unknown.
     """
 
     run: int
     outcome: str
     error: str
     metrics: Numbers
+    any_seed: bool = False
 
 
 def flatten_metrics(metrics: Mapping[str, Any]) -> dict[str, float | None]:
@@ -170,25 +172,27 @@ class Journal:
                 "error": row.error,
                 "names": self._name_index[names],
                 "values": list(row.metrics.values()),
+                **({"any_seed": True} if row.any_seed else {}),
             }
         )
 
-    def rows(self) -> Iterator[JournalRow]:
-        """Iterate over the rows, in order of their runs."""
-        for run in sorted(self._offsets):
+    def rows(self, needs: Callable[[int], bool] = lambda run: True) -> Iterator[JournalRow]:
+        """Iterate over the rows of the runs that are needed, in order of their runs."""
+        for run in filter(needs, sorted(self._offsets)):
             self._file.seek(self._offsets[run])
             line = parse_json_map(self._file.readline())
             numbers = dict(zip(self._names[line["names"]], line["values"], strict=True))
-            yield JournalRow(run, line["outcome"], line["error"], numbers)
+            any_seed = line.get("any_seed", False)
+            yield JournalRow(run, line["outcome"], line["error"], numbers, any_seed)
 
-    def names(self) -> tuple[str, ...]:
-        """Return the names of all numbers, in order of the first run that has them.
+    def names(self, needs: Callable[[int], bool] = lambda run: True) -> tuple[str, ...]:
+        """Return the names of the numbers of needed runs, in order of the first that has them.
 
         A name is left out if other runs have names below it: there it is a missing part.
         """
         seen: set[int] = set()
         names: dict[str, None] = {}
-        for row in self.rows():
+        for row in self.rows(needs):
             index = self._name_index[tuple(row.metrics)]
             if index not in seen:
                 seen.add(index)
@@ -301,6 +305,8 @@ class Journal:
             raise ValueError("a value is not a number")
         if line["outcome"] not in OUTCOMES or not isinstance(line["error"], str):
             raise ValueError("its outcome is unknown, or its error is not a text")
+        if not isinstance(line.get("any_seed", False), bool):
+            raise ValueError("its any_seed is neither true nor false")
         return int(run)
 
 

@@ -1,8 +1,9 @@
 """Runs of a study: number, case, point and seed of each, and its scenario.
 
-A plan depends on the study file only. Runs are ordered by case, then point, then seed. In a
-factorial design the last key changes fastest; in the other designs each key draws from its own
-random stream, so that adding a key changes no other key's values. All cases have the same points.
+A plan depends on the study file only; which of its runs are flown is the subject of `run_choice`.
+Runs are ordered by case, then point, then seed. In a factorial design and a map the last key
+changes fastest; in the other designs each key draws from its own random stream, so that adding a
+key changes no other key's values. All cases have the same points.
 """
 
 from __future__ import annotations
@@ -71,6 +72,7 @@ class StudyRun:
         overrides: changed keys, as for `--set`, without the seed; paths from `folder`.
         duration_s: as for `--duration`.
         folder: of the study file.
+        margins_at_deg: bank at which margins are predicted; None: it is flown.
     """
 
     number: int
@@ -81,17 +83,21 @@ class StudyRun:
     overrides: tuple[str, ...]
     duration_s: float | None
     folder: Path
+    margins_at_deg: float | None = None
 
     @property
     def command(self) -> str:
         """Shell command that repeats the run from here, to the bit with the same versions."""
-        words, here = ["testbed", "run", self.scenario], Path.cwd().resolve()
+        flown = self.margins_at_deg is None
+        words = ["testbed", "run" if flown else "margins", self.scenario]
+        here = Path.cwd().resolve()
         for each in self.overrides:
             same = here == self.folder
             words += ["--set", each if same else setting_from_here(each, self.folder, here)]
         if self.duration_s is not None:
             words += ["--duration", repr(self.duration_s).removesuffix(".0")]
-        return shlex.join([*words, "--seed", str(self.seed)])
+        words += ["--seed", str(self.seed)] if flown else ["--bank", f"{self.margins_at_deg:g}"]
+        return shlex.join(words)
 
 
 def load_study(name_or_path: str | Path) -> Study:
@@ -121,9 +127,11 @@ class Plan(Sequence[StudyRun]):
         self.cases: tuple[str, ...] = tuple(config.cases) or ("",)
         self.keys: tuple[str, ...] = tuple(config.vary)
         self.seeds: tuple[int, ...] = config.study.seeds
+        predict = config.study.predict
+        self.margins_at_deg = None if predict is None else predict.margins_at_deg
         self._values = tuple(config.vary.values())
-        self._counts = tuple(each.level_count for each in self._values)
-        self.point_count: int = config.study.samples or math.prod(self._counts)
+        self.level_counts: tuple[int, ...] = tuple(each.level_count for each in self._values)
+        self.point_count: int = config.study.samples or math.prod(self.level_counts)
         self._drawn = _draw(config) if config.study.samples else None
         self._drafts = {case: self._open(case) for case in self.cases}
         # all seeds of a point share one scenario
@@ -163,6 +171,7 @@ class Plan(Sequence[StudyRun]):
             tuple(f"{key}={to_inline(value)}" for key, value in {**changes, **values}.items()),
             config.study.duration_s,
             self.folder,
+            self.margins_at_deg,
         )
 
     def point(self, index: int) -> dict[str, Value]:
@@ -172,7 +181,7 @@ class Plan(Sequence[StudyRun]):
             return {key: values.quantile(drawn[index]) for key, values, drawn in each}
         point: dict[str, Value] = {}
         for key, values, count in zip(
-            reversed(self.keys), reversed(self._values), reversed(self._counts), strict=True
+            reversed(self.keys), reversed(self._values), reversed(self.level_counts), strict=True
         ):
             index, level = divmod(index, count)
             point[key] = values.level(level)

@@ -14,6 +14,7 @@ from testbed.scenario.problems import Problem, ScenarioError, did_you_mean
 from testbed.scenario.yaml_io import walk
 from testbed.studies.journal import flatten_metrics
 from testbed.studies.plan import Plan, Study, StudyRun
+from testbed.studies.predicted_numbers import predicted_names
 
 MAX_CHECKED = 2_000  # scenarios read before a study is flown; each takes some milliseconds
 MAX_NAMED = 6  # names in an error
@@ -77,8 +78,9 @@ def check_plan(plan: Plan) -> CheckedPlan:
             raise first
         with suppress(ScenarioError):
             scenarios[case] = plan.case_scenario(index)
-    metrics = enumerate(plan.study.config.study.metrics)
-    flown.check_metrics([(("study", "metrics", k), name) for k, name in metrics])
+    settings = plan.study.config.study
+    metrics = [(("study", "metrics", k), name) for k, name in enumerate(settings.metrics)]
+    flown.check_metrics([*metrics, *settings.deciding_metrics])
     flown.check_code()
     return CheckedPlan(scenarios, checked, invalid, example)
 
@@ -119,9 +121,14 @@ class FlownScenarios:
         Raises:
             ScenarioError: with all numbers that no run has, and their places.
         """
-        known = {name: None for each in self._shapes.values() for name in number_names(each)}
+        if self._plan.margins_at_deg is not None:
+            known = dict.fromkeys(predicted_names())
+        else:
+            known = {name: None for each in self._shapes.values() for name in number_names(each)}
         missing = [(loc, name) for loc, name in wanted if name not in known]
-        if missing:  # of windows that the duration of the study drops
+        if (
+            missing and self._plan.margins_at_deg is None
+        ):  # of windows that the duration of the study drops
             whole = {n: None for each in self._plan.whole_scenarios() for n in number_names(each)}
             known = whole | known
         problems = [

@@ -11,15 +11,27 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BeforeValidator, ConfigDict, Field, WithJsonSchema, model_validator
 from pydantic_core import PydanticCustomError
 
-from testbed.scenario.fields import SMALLEST, Name, Number, Seconds, Section, Whole, raise_findings
+from testbed.scenario.fields import (
+    SMALLEST,
+    Degrees,
+    KeyPath,
+    Name,
+    Number,
+    Seconds,
+    Section,
+    Whole,
+    raise_findings,
+)
+from testbed.studies.sequential_interval import MIN_VALUES
 
 MAX_RUNS = 1_000_000
 MAX_SEEDS = 100_000
+MAX_LEVELS = 8  # of a map: cells of 256 points a side
 CASE_SCENARIO = "scenario"  # the key of a case that names a scenario, and changes no key of one
 
 Value = bool | int | float | str
 """A value of a scenario key."""
-KeyProblem = tuple[tuple[str | int, ...], str]
+KeyProblem = tuple[KeyPath, str]
 """The path of a key in the file, and what is wrong with it."""
 
 _FORMS = "a list, {from, to, count}, {from, to, step}, {uniform: [a, b]}, {log_uniform: [a, b]}, "
@@ -137,6 +149,55 @@ def _exact(number: float) -> Fraction:
     return Fraction(repr(number))
 
 
+class Predicted(Section):
+    """What is predicted of each point, without flying it."""
+
+    margins_at_deg: Degrees = Field(
+        ge=0,
+        le=60,
+        description="Margins in steady flight at this bank of the follower that banks most, "
+        "degrees; 0: straight.",
+    )
+
+
+class Until(Section):
+    """The section `until`: how well a number is to be known at each point."""
+
+    metric: str = Field(
+        min_length=1, description="A number of metrics.json, its keys joined by dots."
+    )
+    half_width: Number = Field(
+        ge=SMALLEST,
+        description="A point is flown with further seeds until the interval of the mean is within "
+        "plus or minus this, in the unit of the metric.",
+    )
+    confidence: Number = Field(
+        0.95,
+        ge=0.5,
+        le=0.9999,
+        description="That the mean is within the interval at whatever number of flights it is "
+        "looked at.",
+    )
+    statistic: Literal["mean"] = Field("mean", description="Over the seeds of a point: mean.")
+
+
+class Refine(Section):
+    """The section `refine`: where a map of two keys is flown in detail."""
+
+    metric: str = Field(
+        min_length=1, description="The number of the map: of metrics.json, keys joined by dots."
+    )
+    levels: Whole = Field(
+        ge=1,
+        le=MAX_LEVELS,
+        description="How often a cell of the first grid, with every 2^levels-th value of each key, "
+        "can be halved.",
+    )
+    contour: Number | None = Field(
+        None, description="A value of the metric whose contour is flown in detail."
+    )
+
+
 class StudySettings(Section):
     """The section `study`: what is flown, and how often."""
 
@@ -155,9 +216,12 @@ class StudySettings(Section):
         description="End of the flights, instead of the scenario's, s.",
     )
     set: Mapping[str, Any] = Field({}, description="Scenario keys to change, as with --set.")
-    design: Literal["factorial", "latin-hypercube", "monte-carlo"] | None = Field(
+    design: Literal["factorial", "latin-hypercube", "monte-carlo", "map"] | None = Field(
         None,
         description="How points are made of vary: factorial, all combinations, is the default.",
+    )
+    refine: Refine | None = Field(
+        None, description="Which points of design map are flown, from the results of others."
     )
     samples: Whole | None = Field(
         None, ge=1, le=MAX_RUNS, description="Points of latin-hypercube and monte-carlo."
@@ -166,9 +230,34 @@ class StudySettings(Section):
     seeds: Annotated[tuple[Seed, ...], BeforeValidator(_expand_seeds)] = Field(
         (1,), min_length=1, description="Seeds of the flights: their number, or a list."
     )
+    until: Until | None = Field(
+        None,
+        description="When a point has been flown often enough; seeds is then the largest number.",
+    )
     metrics: tuple[str, ...] = Field(
         (), description="Numbers of metrics.json to show first, their keys joined by dots."
     )
+    predict: Predicted | None = Field(
+        None, description="Numbers to predict from the linearised formation in place of flights."
+    )
+
+    @property
+    def shown_metrics(self) -> tuple[str, ...]:
+        """The numbers to show first: `metrics`, or else the one that decides what is flown."""
+        return self.metrics or tuple(name for _, name in self.deciding_metrics[:1])
+
+    @property
+    def deciding_metrics(self) -> tuple[tuple[KeyPath, str], ...]:
+        """The numbers on which it depends what is flown, with their places in the file."""
+        sections = {"until": self.until, "refine": self.refine}
+        return tuple(
+            (("study", name, "metric"), each.metric) for name, each in sections.items() if each
+        )
+
+    @property
+    def chooses_runs(self) -> bool:
+        """Whether results decide which runs of the plan are flown."""
+        return bool(self.deciding_metrics)
 
 
 class StudyConfig(Section):
@@ -193,7 +282,13 @@ def _check(config: StudyConfig) -> list[KeyProblem]:
     problems = [each for key, values in config.vary.items() for each in _check_values(key, values)]
     if problems:
         return problems
-    return [*_check_design(config), *_check_keys(config), *_check_lists(config)]
+    return [
+        *_check_design(config),
+        *_check_map(config),
+        *_check_keys(config),
+        *_check_lists(config),
+        *_check_prediction(config.study),
+    ]
 
 
 def _check_values(key: str, values: Variation) -> Iterator[KeyProblem]:
@@ -254,6 +349,56 @@ def _check_design(config: StudyConfig) -> Iterator[KeyProblem]:
                 )
 
 
+def _check_prediction(settings: StudySettings) -> Iterator[KeyProblem]:
+    if settings.predict is None:
+        return
+    if settings.duration_s is not None:
+        text = "is of flights, and study.predict flies none (leave one of the two out)"
+        yield ("study", "duration_s"), text
+    if len(settings.seeds) > 1:
+        text = f"are {len(settings.seeds)}, and no seed changes what study.predict predicts"
+        yield ("study", "seeds"), f"{text} (leave seeds out)"
+
+
+def _check_map(config: StudyConfig) -> Iterator[KeyProblem]:
+    settings = config.study
+    refine = settings.refine
+    if settings.design != "map":
+        if refine is not None:
+            yield ("study", "refine"), "is for design: map (leave it out, or change design)"
+        return
+    if refine is None:
+        yield (
+            ("study",),
+            "design map needs a section refine (write for example refine: {metric: "
+            "min_separation_m, levels: 3})",
+        )
+        return
+    if len(config.vary) != 2:
+        yield ("vary",), f"has {len(config.vary)} keys (write two, the axes of the map)"
+    step = 2**refine.levels
+    for key, values in config.vary.items():
+        if values.count is None:
+            yield (
+                ("vary", key),
+                "is an axis of a map (write evenly spaced numbers, as {from: 0, to: 1, count: "
+                f"{4 * step + 1}}})",
+            )
+        elif (values.count - 1) % step:
+            below = (values.count - 1) // step * step + 1
+            near = [str(each) for each in (below, below + step) if each > 1]
+            yield (
+                ("vary", key, "count"),
+                f"is {values.count}; with levels: {refine.levels} it is a multiple of {step} plus "
+                f"1 (write {' or '.join(near)})",
+            )
+    if settings.until is not None and settings.until.metric != refine.metric:
+        yield (
+            ("study", "until", "metric"),
+            f"is not the number of the map (write {refine.metric}, that of refine)",
+        )
+
+
 def _check_keys(config: StudyConfig) -> Iterator[KeyProblem]:
     every: list[tuple[tuple[str, ...], Mapping[str, Any]]] = [
         (("study", "set"), config.study.set),
@@ -283,3 +428,10 @@ def _check_lists(config: StudyConfig) -> Iterator[KeyProblem]:
     runs = points * max(1, len(config.cases)) * len(settings.seeds)
     if runs > MAX_RUNS:
         yield ("study",), f"has {runs:,} runs (write fewer than {MAX_RUNS:,})"
+    if settings.until is not None and len(settings.seeds) < MIN_VALUES:
+        few = f"{len(settings.seeds)} seed{'s' * (len(settings.seeds) > 1)}"
+        yield (
+            ("study", "seeds"),
+            f"has {few}, the most that until may fly at a point (write {MIN_VALUES} or more, for "
+            "example 200)",
+        )

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from testbed.metrics.summary import count_out_of_slot
 from testbed.scenario.problems import did_you_mean
 from testbed.studies.flight_task import COMPLETED
 from testbed.studies.journal import METRICS, SET, default_metric
+from testbed.studies.precision import PointPrecision, point_precisions
 from testbed.studies.study_schema import StudyConfig
 from testbed.studies.sweep import SweepResult
 from testbed.studies.table import StudyTable, metric_columns, read_table
@@ -51,6 +53,7 @@ class Summary:
         groups: in order of their first runs.
         failures: the first runs that were not completed, or violate a bound, as rows.
         out_of_slot: number of completed runs that end with a follower out of its slot.
+        precisions: of a study with `until`, for each point.
     """
 
     metrics: tuple[str, ...]
@@ -58,6 +61,7 @@ class Summary:
     groups: tuple[RunGroup, ...]
     failures: tuple[Mapping[str, Any], ...]
     out_of_slot: int
+    precisions: tuple[PointPrecision, ...] = ()
 
 
 def summarise(result: SweepResult) -> Summary:
@@ -68,15 +72,18 @@ def summarise(result: SweepResult) -> Summary:
     """
     known = metric_columns(result.path)
     config = result.study.config
-    wanted = config.study.metrics or default_metric(known)
+    wanted = config.study.shown_metrics or default_metric(known)
     unknown = {name: did_you_mean(name, known) for name in wanted if name not in known}
     metrics = tuple(name for name in wanted if name in known)
     sets = tuple(f"{SET}{key}" for key in config.vary)
-    columns = ("case", "seed", *sets, "outcome", "error", *(f"{METRICS}{name}" for name in metrics))
+    read = (*metrics, *(name for _, name in config.study.deciding_metrics))
+    columns = ("case", "seed", *sets, "outcome", "error", *(f"{METRICS}{name}" for name in read))
     table = read_table(result.path, columns)
     groups = _group_runs(config, table, sets, metrics)
     out_of_slot = _count_out_of_slot(result, known)
-    return Summary(metrics, unknown, groups, _find_failures(result, table), out_of_slot)
+    failures = _find_failures(result, table)
+    precisions = point_precisions(config, table)
+    return Summary(metrics, unknown, groups, failures, out_of_slot, precisions)
 
 
 def _count_out_of_slot(result: SweepResult, known: Sequence[str]) -> int:
@@ -163,6 +170,16 @@ def to_document(result: SweepResult, summary: Summary) -> dict[str, Any]:
             }
             for group in summary.groups
         ],
+        "until": [_plain(each) for each in summary.precisions],
         "unknown_metrics": list(summary.unknown_metrics),
         "failures": [dict(each) for each in summary.failures],
     }
+
+
+def _plain(precision: PointPrecision) -> dict[str, Any]:
+    """Return a precision as JSON has it: without a number where there is none."""
+    plain = asdict(precision)
+    numbers = {
+        name: plain[name] if math.isfinite(plain[name]) else None for name in ("mean", "half_width")
+    }
+    return {"case": plain.pop("case"), "set": plain.pop("point"), **plain, **numbers}

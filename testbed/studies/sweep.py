@@ -12,8 +12,9 @@ import os
 import re
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,8 @@ from testbed.studies.flight_task import COMPLETED, OUTCOMES, FlightResult, Fligh
 from testbed.studies.journal import Journal, JournalRow, flatten_metrics
 from testbed.studies.plan import Plan, Study, load_study
 from testbed.studies.plan_check import check_plan
+from testbed.studies.predicted_numbers import predict_numbers
+from testbed.studies.run_choice import RunChoice, choose_runs
 from testbed.studies.scenario_snapshot import differences, file_digests, snapshot
 from testbed.studies.table import (
     StudyOutput,
@@ -54,6 +57,7 @@ FLIGHT_PACKAGES = (
     *("core", "atmosphere", "autopilot", "commands", "flight", "formation", "guidance", "logs"),
     *("mavlink", "metrics", "network", "plan", "runs", "scenario", "sensors", "studies", "vehicle"),
 )
+PREDICTION_PACKAGES = ("trials",)  # and a prediction
 _PACKAGE = Path(__file__).parents[1]
 _LEFT_OUT = ("name", "question", "metrics")  # settings that change no row
 
@@ -136,10 +140,8 @@ def sweep(
     for line in plan.unchecked_bounds():
         report(f"warning: {line}")
     inputs = _make_inputs(plan, checked.scenarios)
-    factors = [(len(plan.cases), "case"), (plan.point_count, "point"), (len(plan.seeds), "seed")]
-    product = " × ".join(_count(*each) for each in factors if each[0] > 1 or each[1] == "seed")
     report(
-        f"{_count(len(plan), 'run')}: {product}; {_count(checked.checked, 'scenario')} read in "
+        f"{_describe_plan(plan)}; {_count(checked.checked, 'scenario')} read in "
         f"{time.monotonic() - start:.1f} s"
     )
     if backend == "dask" and scheduler is not None:
@@ -159,10 +161,13 @@ def sweep(
             texts = {case: dump(scenario) for case, scenario in checked.scenarios.items()}
             metadata = make_metadata(plan, texts, inputs["versions"])
             metadata["inputs.json"] = json.dumps(inputs, ensure_ascii=False)
-            writer = _TableWriter(output, plan, journal, metadata, refresh_s)
-            new_runs = _fly(plan, pool, journal, writer, progress, report)
+            choice = choose_runs(plan)
+            for row in journal.rows():
+                choice.add(row)
+            writer = _TableWriter(output, plan, journal, choice, metadata, refresh_s)
+            new_runs = _fly(plan, pool, journal, choice, writer, progress, report)
             outcomes, unexpected = _count_outcomes(
-                (row.outcome, row.error) for row in journal.rows()
+                (row.outcome, row.error) for row in journal.rows(choice.needs)
             )
             output.journal.unlink()  # while it is locked, so that nothing else resumes it
         finally:
@@ -178,10 +183,11 @@ class _TableWriter:
         output: StudyOutput,
         plan: Plan,
         journal: Journal,
+        choice: RunChoice,
         metadata: Mapping[str, str],
         refresh_s: float,
     ) -> None:
-        self._arguments = (output.path, plan, journal, metadata)
+        self._arguments = (output.path, plan, journal, choice, metadata)
         self._refresh_s = refresh_s
         self._next_s = 0.0
 
@@ -202,6 +208,7 @@ def _fly(
     plan: Plan,
     pool: FlightPool,
     journal: Journal,
+    choice: RunChoice,
     writer: _TableWriter,
     progress: Progress,
     report: Report,
@@ -209,53 +216,60 @@ def _fly(
     """Fly the missing runs, return their number; report each kind of warning and bound once.
 
     Where no seed changes a point, the row of its first flight is also that of its other seeds.
+    A flight that is not needed when it ends is dropped.
     """
-    before, points, copies = len(journal), 0, 0
-    kinds: set[str] = set()
-    bounds: set[str] = set()
+    before = choice.done
+    points: set[int] = set()  # that no seed changes
+    copies = copied = 0
+    warnings = _Warnings(plan, report)
     try:
         writer.write()
-        progress(len(journal), len(plan))
-        for result in pool.run_groups(_missing_points(plan, journal)):
-            if result.number in journal:  # as a copy, made while it was flown
-                continue
-            row = _to_row(result, journal.inputs["versions"])
-            for text in initial_warnings(result.metrics or {}):
-                kind = re.sub(r"[\d.]+", "#", text)
-                if kind not in kinds and len(kinds) < MAX_WARNINGS:
-                    report(f"warning: run {result.number}: {text}")
-                kinds.add(kind)
-            bounds |= _report_bounds(plan, result, bounds, report)
-            runs = [result.number]
-            if not result.depends_on_seed:
-                others = plan.seeds_of_point(result.number)
-                runs += [k for k in others if k != result.number and k not in journal]
-            for number in runs:
-                journal.add(replace(row, run=number))
-                progress(len(journal), len(plan))
-                writer.write_if_due()
-            points, copies = points + (len(runs) > 1), copies + len(runs) - 1
+        progress(choice.done, choice.total)
+        while open_points := choice.open_points():
+            if text := choice.round_text:
+                report(text)
+            for result in pool.run_groups(_missing_points(plan, journal, choice, open_points)):
+                runs: Sequence[int] = [result.number]
+                if not result.depends_on_seed:
+                    runs = plan.seeds_of_point(result.number)
+                    points.add(runs[0])
+                row = _to_row(result, journal.inputs["versions"])
+                added = 0
+                for number in runs:
+                    # not a copy, made while it was flown, nor one that is not needed any more
+                    if number not in journal and choice.needs(number):
+                        own = replace(row, run=number)
+                        journal.add(own)
+                        choice.add(own)
+                        added += 1
+                        progress(choice.done, choice.total)
+                        writer.write_if_due()
+                if added:
+                    warnings.report(result)
+                    copied, copies = copied + (added > 1), copies + added - 1
         if copies:
             report(
-                f"no seed changes {_count(points, 'point')}: {_count(copies, 'run')} with the "
+                f"no seed changes {_count(copied, 'point')}: {_count(copies, 'run')} with the "
                 "numbers of a flown one"
             )
-        if flown := _count_equal_points(plan, journal) - points:
+        elif points and plan.study.config.study.until:
+            report(f"no seed changes {_count(len(points), 'point')}: one run each")
+        if flown := _count_equal_points(plan, journal, choice) - copied:
             report(
                 f"all seeds of {_count(flown, 'further point')} were flown, and gave the same "
                 "numbers (write fewer seeds)"
             )
     finally:
         writer.write()
-    return len(journal) - before
+    return choice.done - before
 
 
-def _count_equal_points(plan: Plan, journal: Journal) -> int:
+def _count_equal_points(plan: Plan, journal: Journal, choice: RunChoice) -> int:
     """Count the points of several completed runs whose numbers are equal to the bit."""
     points, seeds = 0, len(plan.seeds)
     if seeds == 1:
         return 0
-    for _, rows in itertools.groupby(journal.rows(), lambda row: row.run // seeds):
+    for _, rows in itertools.groupby(journal.rows(choice.needs), lambda row: row.run // seeds):
         first, *others = rows
         numbers = (COMPLETED, first.metrics)
         equal = all((each.outcome, each.metrics) == numbers for each in (first, *others))
@@ -263,36 +277,63 @@ def _count_equal_points(plan: Plan, journal: Journal) -> int:
     return points
 
 
-def _report_bounds(
-    plan: Plan, result: FlightResult, reported: set[str], report: Report
-) -> set[str]:
-    """Report the bounds that a run violates, but for those reported before; return their keys."""
-    violated = violations(result.metrics or {})
-    first = {bound_key(each): each for each in reversed(violated)}
-    new = {key: each for key, each in first.items() if key not in reported}
-    run = plan[result.number]
-    for line in violation_lines(list(new.values()), run.scenario, run.overrides):
-        report(f"warning: run {result.number}: {line}")
-    return set(new)
+class _Warnings:
+    """Reports each kind of warning from before a flight, and each violated bound, once."""
+
+    def __init__(self, plan: Plan, report: Report) -> None:
+        self._plan, self._report = plan, report
+        self._kinds: set[str] = set()
+        self._bounds: set[str] = set()
+
+    def report(self, result: FlightResult) -> None:
+        """Report what is new of a flight."""
+        for text in initial_warnings(result.metrics or {}):
+            kind = re.sub(r"[\d.]+", "#", text)
+            if kind not in self._kinds and len(self._kinds) < MAX_WARNINGS:
+                self._report(f"warning: run {result.number}: {text}")
+            self._kinds.add(kind)
+        violated = violations(result.metrics or {})
+        first = {bound_key(each): each for each in reversed(violated)}
+        new = {key: each for key, each in first.items() if key not in self._bounds}
+        run = self._plan[result.number]
+        for line in violation_lines(list(new.values()), run.scenario, run.overrides):
+            self._report(f"warning: run {result.number}: {line}")
+        self._bounds |= set(new)
 
 
-def _missing_points(plan: Plan, journal: Journal) -> Iterator[Iterator[FlightTask]]:
+def _missing_points(
+    plan: Plan, journal: Journal, choice: RunChoice, points: Iterable[int]
+) -> Iterator[Iterator[FlightTask]]:
     """Yield for each point the tasks of the runs that the journal does not have."""
-    for first in range(0, len(plan), len(plan.seeds)):
-        yield _missing_tasks(plan, journal, plan.seeds_of_point(first))
+    for point in points:
+        yield _missing_tasks(plan, journal, choice, plan.seeds_of_point(point * len(plan.seeds)))
 
 
-def _missing_tasks(plan: Plan, journal: Journal, runs: Iterable[int]) -> Iterator[FlightTask]:
-    """Yield the tasks of those runs of a point that the journal does not have."""
+def _missing_tasks(
+    plan: Plan, journal: Journal, choice: RunChoice, runs: Iterable[int]
+) -> Iterator[FlightTask]:
+    """Yield the tasks of those runs of a point that are needed, and not in the journal."""
     scenario: Scenario | None = None
+    bank_deg = plan.margins_at_deg
+    measure = None if bank_deg is None else partial(predict_numbers, bank_deg)
     for number in runs:
+        if not choice.needs(number):  # nor those of further seeds
+            return
         if number not in journal:
             try:
                 # read once: several points are flown at the same time
                 scenario = scenario or plan.scenario(plan[number])
-                yield FlightTask(number, set_seed(scenario, plan[number].seed))
+                yield FlightTask(number, set_seed(scenario, plan[number].seed), measure=measure)
             except ScenarioError as error:
                 yield FlightTask(number, None, f"invalid: {error}")
+
+
+def _describe_plan(plan: Plan) -> str:
+    """Return the number of runs, and of what it is the product."""
+    factors = [(len(plan.cases), "case"), (plan.point_count, "point"), (len(plan.seeds), "seed")]
+    product = " × ".join(_count(*each) for each in factors if each[0] > 1 or each[1] == "seed")
+    most = "at most " if plan.study.config.study.chooses_runs else ""
+    return f"{most}{_count(len(plan), 'run')}: {product}"
 
 
 def _to_row(result: FlightResult, expected: Mapping[str, str]) -> JournalRow:
@@ -301,15 +342,17 @@ def _to_row(result: FlightResult, expected: Mapping[str, str]) -> JournalRow:
     Raises:
         InputError: its worker has other versions than the study was started with.
     """
+    any_seed = not result.depends_on_seed
     if result.metrics is None:
-        return JournalRow(result.number, result.outcome, result.error, {})
+        return JournalRow(result.number, result.outcome, result.error, {}, any_seed)
     different = differences(expected, result.metrics["versions"])
     if different:
         raise InputError(
             f"run {result.number} was flown by a worker of other versions: {'; '.join(different)} "
             "(install the same versions for all workers)"
         )
-    return JournalRow(result.number, result.outcome, result.error, flatten_metrics(result.metrics))
+    numbers = flatten_metrics(result.metrics)
+    return JournalRow(result.number, result.outcome, result.error, numbers, any_seed)
 
 
 def _make_inputs(plan: Plan, scenarios: Mapping[str, Scenario]) -> dict[str, Any]:
@@ -320,13 +363,14 @@ def _make_inputs(plan: Plan, scenarios: Mapping[str, Scenario]) -> dict[str, Any
     files: dict[str, str] = {}
     for scenario in scenarios.values():
         files |= file_digests(scenario)
+    packages = FLIGHT_PACKAGES + (() if plan.margins_at_deg is None else PREDICTION_PACKAGES)
     inputs = {
         "study": config,
         "scenarios": {case: snapshot(scenario, folder) for case, scenario in scenarios.items()},
         "expect": {case: scenario.expect.model_dump() for case, scenario in scenarios.items()},
         "files": files,
         "versions": versions(),
-        "code": {"testbed": source_digest(_PACKAGE, FLIGHT_PACKAGES)[:12]},
+        "code": {"testbed": source_digest(_PACKAGE, packages)[:12]},
     }
     plain: dict[str, Any] = json.loads(json.dumps(inputs))
     return plain

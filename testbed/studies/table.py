@@ -28,6 +28,7 @@ from testbed.logs.run_directory import LOGS, create_run_directory
 from testbed.scenario.yaml_io import to_inline
 from testbed.studies.journal import METRICS, SET, Journal, JournalRow
 from testbed.studies.plan import Plan
+from testbed.studies.run_choice import RunChoice
 from testbed.studies.study_schema import Value, Variation
 
 STUDIES = LOGS / "studies"
@@ -111,12 +112,12 @@ class StudyTable:
 
     @property
     def complete(self) -> bool:
-        """Return whether it has all runs of the plan."""
+        """Return whether it has all runs that are needed."""
         return self.metadata.get("complete") == "true"
 
     @property
     def planned(self) -> int:
-        """Number of runs of the plan.
+        """Number of runs of the complete study; of an incomplete one the largest possible.
 
         Raises:
             InputError: the file has none.
@@ -211,38 +212,42 @@ def metric_columns(path: Path | str) -> tuple[str, ...]:
     return tuple(name.removeprefix(METRICS) for name in names)
 
 
-def write_table(path: Path, plan: Plan, journal: Journal, metadata: Mapping[str, str]) -> None:
-    """Write the rows of a journal as a result file, in one step.
+def write_table(
+    path: Path, plan: Plan, journal: Journal, choice: RunChoice, metadata: Mapping[str, str]
+) -> None:
+    """Write the needed rows of a journal as a result file, in one step.
 
     Args:
         path: the file.
         plan: of the study.
         journal: the finished runs.
+        choice: which of them are needed; it has all rows of the journal.
         metadata: texts to store in the file.
 
     Raises:
         InputError: it cannot be written.
     """
-    metrics = journal.names()
+    metrics = journal.names(choice.needs)
     varied = plan.study.config.vary
     sets = {f"{SET}{key}": column_type(values) for key, values in varied.items()}
     numbers = dict.fromkeys((f"{METRICS}{name}" for name in metrics), "double")
     fields = FIRST_COLUMNS | sets | NEXT_COLUMNS | numbers
     all_metadata = {
         "study.schema": str(SCHEMA),
-        "complete": "true" if len(journal) == len(plan) else "false",
+        "complete": "true" if choice.done == choice.total else "false",
+        "runs": str(choice.total),
         **metadata,
     }
     # durable: the journal is removed after the last write
     with report_write_errors(path), write_file(path, durable=True) as file:
-        write_columns(file, fields, _column_blocks(plan, journal, sets, metrics), all_metadata)
+        rows = journal.rows(choice.needs)
+        write_columns(file, fields, _column_blocks(plan, rows, sets, metrics), all_metadata)
 
 
 def _column_blocks(
-    plan: Plan, journal: Journal, sets: Mapping[str, str], metrics: tuple[str, ...]
+    plan: Plan, rows: Iterator[JournalRow], sets: Mapping[str, str], metrics: tuple[str, ...]
 ) -> Iterator[list[list[Any]]]:
     """Yield the columns of a limited number of rows at a time."""
-    rows = journal.rows()
     are_texts = [kind == "string" for kind in sets.values()]
     while block := list(islice(rows, _ROWS_AT_ONCE)):
         cells = (_cells(plan, row, are_texts, metrics) for row in block)
@@ -297,7 +302,6 @@ def make_metadata(
         **named,
         "versions.json": json.dumps(dict(versions)),
         "testbed.version": __version__,
-        "runs": str(len(plan)),
     }
 
 

@@ -14,14 +14,18 @@ import numpy as np
 
 from testbed.core.errors import needs_extra
 from testbed.core.files import write_file
-from testbed.views.panels import GREY, GRID, Heatmap, Line, Panel, PanelGrid
+from testbed.views.panels import GREY, GRID, FieldMap, Heatmap, Line, Panel, PanelGrid
 
 with needs_extra("report", "figures"):
     import matplotlib
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
+    from matplotlib.colors import LogNorm, Normalize
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+    from matplotlib.patheffects import withStroke
     from matplotlib.ticker import (
         FixedLocator,
         FuncFormatter,
@@ -40,10 +44,12 @@ TITLE_PT, NAME_PT = 6.0, 12.5  # distance of a title, and height of a line of na
 MAX_DECADES = 4.0  # of a logarithmic axis with ticks within decades, as plain numbers
 HEAT_COLOURS = "cividis"  # the same order for colour-blind readers, and in grey
 HEAT_STEPS = 32
+FIELD_COLOURS = "viridis"  # as safe, and without the greys of the hatched area
 DEGREE_STEPS = (1, 1.5, 3, 4.5, 9, 10)  # of ticks: 15, 30, 45, 90 degrees
 MIN_DEGREES = 45.0  # of an axis with them
 # Text on a cell, by its lightness; not exactly black and white, which a dark page inverts.
 ON_LIGHT, ON_DARK = "#010101", "#fefefe"
+SHADE, HATCH, EDGE = "#97979c", "#b6b6ba", "#d55e01"  # of the hatched area of a map
 POSITION_DECIMALS = 6  # of panels, in widths and heights of the figure
 # Without the date, the only thing that differs between two files of the same grid.
 UNDATED: dict[str, dict[str, Any]] = {
@@ -153,14 +159,19 @@ def _figure(content: PanelGrid, *, titled: bool, scale: float = 1.0) -> Figure:
         for k, panel in enumerate(panels):
             ax = figure.add_subplot(grid[i, k])
             _fill(ax, panel, scale)
-            if panel.heat is not None and panel.drawn:
+            coloured = panel.heat or panel.field
+            if coloured is not None and panel.drawn:
                 row = i if len(content.widths) > 1 else 0
-                key = row, panel.heat.limits, panel.heat.label
+                key = row, coloured.limits, coloured.label
                 heats.setdefault(key, []).append(ax)
             for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
                 named.setdefault(label, handle)
+            if panel.field is not None:
+                named |= _field_legend(panel.field, scale)
     for (_, _, label), axes in heats.items():
-        figure.colorbar(axes[0].collections[0], ax=axes, label=label)
+        bar = figure.colorbar(axes[0].collections[0], ax=axes, label=label)
+        if isinstance(axes[0].collections[0].norm, LogNorm):
+            _set_plain_log_ticks(bar.ax.yaxis)
     longest = max(map(len, named), default=0)
     abreast = max(int(width / (KEY_IN + LETTER_IN * longest)), 1)
     rows = -(-len(named) // abreast)
@@ -213,13 +224,21 @@ def _fill(ax: Axes, panel: Panel, scale: float = 1.0) -> None:
         )  # fmt: skip
     for line in panel.lines:
         ax.plot(
-            line.x, line.y, color=line.colour, label=line.label or None, **_line_style(line, scale)
+            line.x,
+            line.y,
+            color=line.colour,
+            label=line.label or None,
+            **_line_style(line, scale),
+            clip_on=panel.field is None,
+            zorder=4 if panel.field is not None else None,
         )
     if panel.equal:
         ax.set_aspect("equal", adjustable="datalim")
         return
     if panel.heat is not None:
         _fill_heat(ax, panel.heat, scale)
+    if panel.field is not None:
+        _fill_field(ax, panel.field, scale)
     if panel.y_ticks and not panel.x_ticks:
         ax.locator_params(axis="x", nbins=5)  # few: long numbers need space
     for axis, ticks in ((ax.xaxis, panel.x_ticks), (ax.yaxis, panel.y_ticks)):
@@ -263,6 +282,49 @@ def _fill_heat(ax: Axes, heat: Heatmap, scale: float) -> None:
             )  # fmt: skip
     ax.grid(False)
     ax.yaxis.labelpad = 9.0 * scale  # an underscore of a key is at the side of the numbers
+
+
+def _fill_field(ax: Axes, field: FieldMap, scale: float) -> None:
+    scaling = (LogNorm if field.logarithmic else Normalize)(*field.limits)
+    ax.pcolormesh(
+        field.x, field.y, np.ma.masked_invalid(field.values), cmap=FIELD_COLOURS, norm=scaling,
+        rasterized=True,
+    )  # fmt: skip
+    nodes = field.nodes_x, field.nodes_y
+    if (field.outside >= 0.5).any():
+        with matplotlib.rc_context({"hatch.linewidth": 0.8 * scale, "hatch.color": HATCH}):
+            ax.contourf(*nodes, field.outside, levels=[0.5, 1.5], colors=[SHADE], hatches=["//"])
+    if field.contour is not None:
+        drawn = ax.contour(
+            *nodes, np.ma.masked_invalid(field.level), levels=[field.contour],
+            colors=[ON_DARK], linewidths=[1.8 * scale],
+        )  # fmt: skip
+        drawn.set_path_effects(_halo(scale))
+    if (field.outside >= 0.5).any() and (field.outside < 0.5).any():
+        ax.contour(
+            *nodes, field.outside, levels=[0.5], colors=[EDGE], linewidths=[2.6 * scale]
+        )  # fmt: skip
+    ax.grid(False)
+    ax.yaxis.labelpad = 9.0 * scale
+
+
+def _halo(scale: float) -> list[Any]:
+    """Return the effect by which a pale line stands out on every colour."""
+    return [withStroke(linewidth=3.6 * scale, foreground=ON_LIGHT)]
+
+
+def _field_legend(field: FieldMap, scale: float) -> dict[str, Any]:
+    """Return the handles of a legend by label."""
+    out: dict[str, Any] = {}
+    if field.contour is not None:
+        out[field.contour_label] = Line2D(
+            [], [], color=ON_DARK, lw=1.8 * scale, path_effects=_halo(scale)
+        )
+    if (field.outside >= 0.5).any():
+        with matplotlib.rc_context({"hatch.linewidth": 0.8 * scale}):
+            out[field.outside_label] = Patch(fc=SHADE, ec=HATCH, hatch="///", lw=0)
+        out[field.edge_label] = Line2D([], [], color=EDGE, lw=2.6 * scale)
+    return out
 
 
 def _line_style(line: Line, scale: float) -> dict[str, Any]:

@@ -118,6 +118,29 @@ class Heatmap:
 
 
 @dataclass(frozen=True, slots=True)
+class FieldMap:
+    """A quantity over a plane, with contours and an area in which it has no meaning.
+
+    Corners are those of a grid, along both axes; a cell lies between them.
+    """
+
+    x: Array  # (columns + 1,) corners
+    y: Array  # (rows + 1,) corners
+    values: Array  # (rows, columns) of cells; NaN: without colour
+    limits: tuple[float, float]  # of the colour scale
+    label: str  # of the colour scale
+    logarithmic: bool  # colour scale
+    nodes_x: Array  # (k,) of the contours
+    nodes_y: Array  # (m,)
+    level: Array  # (m, k) quantity of the contour at nodes; NaN: unknown
+    contour: float | None  # its value; None: none is drawn
+    contour_label: str
+    outside: Array  # (m, k) at nodes; the area where it is 0.5 or more is hatched, and has an edge
+    outside_label: str
+    edge_label: str
+
+
+@dataclass(frozen=True, slots=True)
 class Panel:
     """One pair of axes."""
 
@@ -138,11 +161,14 @@ class Panel:
     y_ticks: Sequence[tuple[float, str]] = ()
     y_degrees: bool = False  # ticks at parts of a right angle
     heat: Heatmap | None = None  # below the lines
+    field: FieldMap | None = None  # below the lines
 
     @property
     def drawn(self) -> bool:
         """Whether there is a finite number to draw."""
         if self.heat is not None and bool(np.isfinite(self.heat.values).any()):
+            return True
+        if self.field is not None:
             return True
         return any(bool(np.isfinite(line.y).any()) for line in self.lines)
 

@@ -301,6 +301,7 @@ def feed_result(path):
     from testbed.reports.study import study_page
     from testbed.studies.journal import Journal
     from testbed.studies.plan import Plan, load_study
+    from testbed.studies.run_choice import choose_runs
     from testbed.studies.sweep import _refuse_changed_inputs
     from testbed.studies.table import StudyOutput, make_metadata, read_rows, write_table
 
@@ -317,7 +318,10 @@ def feed_result(path):
         _refuse_changed_inputs(StudyOutput(path.with_suffix(".parquet")), journal.inputs, first)
         journal.refuse_other_runs(len(plan))
         metadata = make_metadata(plan, dict.fromkeys(plan.cases, ""), {})
-        write_table(path.with_name("again.parquet"), plan, journal, metadata)
+        choice = choose_runs(plan)
+        for row in journal.rows():
+            choice.add(row)
+        write_table(path.with_name("again.parquet"), plan, journal, choice, metadata)
     finally:
         journal.close()
 

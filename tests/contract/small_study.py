@@ -1,9 +1,11 @@
 """A small study of unicycle vehicles, and a worker pool that flies it in this process."""
 
+from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 
-from testbed.studies.flight_task import run_task
+from testbed.plan.world import versions
+from testbed.studies.flight_task import FlightResult, FlightTask, run_task
 
 STUDY = """
 study:
@@ -36,6 +38,7 @@ class InThisProcess:
 
     finished: list[int] = field(default_factory=list)
     every_seed: bool = False  # may change the numbers of each point
+    fly: Callable[[FlightTask], FlightResult] = run_task
 
     def capacity(self):
         return 1
@@ -43,7 +46,7 @@ class InThisProcess:
     def submit(self, task):
         self.finished.append(task.number)
         future = Future()
-        result = run_task(task)
+        result = self.fly(task)
         future.set_result(replace(result, depends_on_seed=True) if self.every_seed else result)
         return future
 
@@ -52,6 +55,33 @@ class InThisProcess:
 
     def shutdown(self):
         pass
+
+
+@dataclass
+class Backwards(InThisProcess):
+    """Workers of several flights at once, of which the last one always ends first."""
+
+    size: int = 3
+    held: list[tuple[Future, FlightTask]] = field(default_factory=list)
+
+    def capacity(self):
+        for future, task in reversed(self.held):
+            self.finished.append(task.number)
+            future.set_result(self.fly(task))
+        self.held.clear()
+        return self.size
+
+    def submit(self, task):
+        future = Future()
+        self.held.append((future, task))
+        return future
+
+
+def made_result(task, number, outcome="completed", *, depends_on_seed=True):
+    """Return a made-up result of a task, with a number as mean RMS error of the approach."""
+    metrics = {"versions": versions(), "windows": {"approach": {"mean_rms_m": number}}}
+    error = "" if outcome == "completed" else f"{outcome}: uav1 at 3.0 s"
+    return FlightResult(task.number, outcome, error, metrics, 0.0, depends_on_seed)
 
 
 def content(table):

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import get_args
 
+import numpy as np
 import pytest
 
 from testbed.autopilot.parameters import AutopilotTiming, FbwaParams, make_gains
@@ -191,3 +192,21 @@ def test_gyro_filter_of_sitl_reaches_its_aircraft():
     assert gains["gyro_b"][2].tolist() != sitl["gyro_b"][0].tolist()
     jsbsim.retune(2, FbwaParams())
     assert gains["gyro_b"][2].tolist() == sitl["gyro_b"][0].tolist()
+
+
+@pytest.mark.parametrize(
+    ("size", "problem"),
+    [("", "neither radius_m nor bank_deg"), (", radius_m: 90, bank_deg: 20", "both sizes")],
+)
+def test_circle_has_a_radius_or_a_bank(size, problem):
+    path = "leader.path={{kind: virtual, speed_mps: 22, curve: {{kind: circle{}}}}}"
+    with pytest.raises(ScenarioError, match=f"leader.path.curve: has {problem} .*bank_deg: 20; nu"):
+        loads(MINIMAL, [path.format(size)])
+    gain = "formation.leader_gains={uav1: 1}"
+    # R = V² / (g tan φ) = 22² / (9.80665 · tan 20°) = 135.60 m
+    for bank, same in ((20, True), (21, False)):
+        paths = [
+            build(loads(MINIMAL, [path.format(f", {each}"), gain])).info.leader_path_ned
+            for each in (f"bank_deg: {bank}", "radius_m: 135.6")
+        ]
+        assert np.allclose(*paths, atol=0.05) == same

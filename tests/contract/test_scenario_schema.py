@@ -93,6 +93,7 @@ MISSION = (
 OTHER_KINDS = [
     VIRTUAL.format("kind: straight, climb_mps: 1"),
     VIRTUAL.format("kind: circle, radius_m: 200, direction: anticlockwise, climb_mps: -0.5"),
+    VIRTUAL.format("kind: circle, bank_deg: 35, direction: anticlockwise, climb_mps: -0.5"),
     VIRTUAL.format("kind: figure-eight, radius_m: 180, direction: anticlockwise"),
     VIRTUAL.format("kind: weave, amplitude_m: 30, period_s: 25"),
     VIRTUAL.format("kind: speed-change, amplitude_mps: 2, period_s: 30"),

@@ -55,6 +55,7 @@ def test_good_journal_is_read(tmp_path):
         *(ROW | {"values": ["x", 1.0]}, ROW | {"values": [[], 1.0]}, ROW | {"values": "ab"}),
         *(ROW | {"values": [10**400, 1.0]}, ROW | {"values": {"a": 1, "b": 2}}),
         *(ROW | {"outcome": "unheard of"}, ROW | {"outcome": []}, ROW | {"error": 5}),
+        ROW | {"any_seed": 1},
     ],
     ids=lambda wrong: str(wrong)[:40],
 )

@@ -19,6 +19,7 @@ from testbed.guidance.analytic_paths import (
     SinusoidalPath,
     SpeedChangePath,
     StraightPath,
+    turn_radius,
 )
 from testbed.guidance.flight_plan import (
     GuidanceMission,
@@ -196,6 +197,19 @@ def test_wind_changes_only_the_airspeed():
     expected = np.linalg.norm(still.velocity_ned - wind, axis=1)
     assert windy.airspeed == pytest.approx(expected)
     np.testing.assert_array_equal(windy.velocity_ned, still.velocity_ned)
+
+
+@pytest.mark.parametrize("climb", [0.0, 6.0, -9.0])
+def test_radius_of_a_bank_is_flown_at_it(climb):
+    """The attitude along the path has the bank; at the radius of a level turn it has not."""
+    bank = math.radians(40.0)
+    path = CirclePath(**START, radius=turn_radius(bank, 22.0, climb), climb=climb)
+    assert analytic.evaluate(path, WIDE).euler[:, 0] == pytest.approx(bank, abs=1e-12)
+    level = replace(path, radius=turn_radius(bank, 22.0))
+    assert (analytic.evaluate(level, WIDE).euler[0, 0] == pytest.approx(bank)) == (climb == 0.0)
+    # the largest one is accepted, at every speed
+    for speed in np.linspace(15.0, 25.0, 101):
+        CirclePath(**START | {"speed": speed}, radius=turn_radius(math.radians(60.0), speed))
 
 
 @pytest.mark.parametrize(

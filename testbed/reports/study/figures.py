@@ -12,6 +12,7 @@ import numpy as np
 from testbed.core.records import Array, BoolArray
 from testbed.reports.figure_spec import Figure, FigureSpec, make_figure
 from testbed.reports.plot_selection import STYLES
+from testbed.reports.study.maps import study_map
 from testbed.reports.study.parameter_plots import (
     MAX_ACROSS,
     MAX_BESIDE,
@@ -52,6 +53,7 @@ def study_figures(study: StudyData) -> Iterator[Figure]:
     makers: Sequence[tuple[str, Maker]] = (
         ("parameters", parameters),
         ("heat", heat_maps),
+        ("map", study_map),
         ("cases", cases),
         ("spread", distributions),
     )
@@ -66,6 +68,8 @@ def study_figures(study: StudyData) -> Iterator[Figure]:
 
 def heat_maps(study: StudyData, metric: str) -> FigureSpec | None:
     """Draw the metric over pairs of parameters."""
+    if study.is_map:
+        return None
     flights = study.flights
     parameters = flights.parameters
     pairs = list(combinations(parameters, 2))

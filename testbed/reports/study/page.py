@@ -29,8 +29,12 @@ MAX_CARDS = 6  # in the head: metrics, or cases and laws
 
 def study_page(study: StudyData) -> Page:
     """Make the page of a study."""
-    effects, cases = tables.effects(study), tables.cases(study)
-    results = _table_html(tables.overview(study)) + (_table_html(effects, 3) if effects else "")
+    boundary, effects, cases = (
+        make(study) for make in (tables.boundary, tables.effects, tables.cases)
+    )
+    results = _table_html(tables.overview(study)) + "".join(
+        _table_html(each, 3) for each in (boundary, effects) if each
+    )
     return Page(
         title=study.name,
         head=_head(study),
@@ -61,7 +65,12 @@ def print_summary(study: StudyData, console: Console) -> None:
     console.print(f" [bold]{study.name}[/] · {' · '.join(_facts(study))}", soft_wrap=True)
     if study.missing:
         console.print(f" {_missing(study)}", style="yellow", soft_wrap=True, markup=False)
-    shown = [tables.overview(study), tables.effects(study), tables.cases(study)]
+    shown = [
+        tables.overview(study),
+        tables.boundary(study),
+        tables.effects(study),
+        tables.cases(study),
+    ]
     if not study.flights.completed.all():
         shown.append(tables.losses(study))
     for table in shown:

@@ -96,7 +96,7 @@ class Facet:
 def parameters(study: StudyData, metric: str) -> FigureSpec | None:
     """Draw a panel for each parameter and the levels of the others."""
     flights = study.flights
-    if not flights.parameters:
+    if not flights.parameters or study.is_map:  # more points where the metric changes
         return None
     of_parameters: list[list[Panel]] = []
     grouped_by, several, averaged = "", False, False

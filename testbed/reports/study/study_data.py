@@ -16,6 +16,7 @@ from scipy import stats
 from testbed.core.random import named_stream
 from testbed.core.records import Array, BoolArray
 from testbed.core.stats import LEVEL, MIN_VALUES, student_interval
+from testbed.reports.study.uneven_values import UnevenValues
 
 UNITS = {
     "m": "m", "mps": "m/s", "s": "s", "deg": "°", "percent": "%", "hz": "Hz", "radps": "rad/s",
@@ -85,6 +86,7 @@ DRAWN_AT_ONCE = 1_000_000  # values in memory
 SEED = 1  # of all draws: the same file gives the same report
 
 Statistic = Callable[..., Array]
+Resample = Callable[[NDArray[np.int64]], Array]
 STATISTICS: dict[str, Statistic] = {"median": np.median, "mean": np.mean}
 
 
@@ -112,26 +114,49 @@ def bootstrap(values: Array, statistic: str, name: str) -> IntervalEstimate:
         statistic: a key of `STATISTICS`.
         name: of the random stream: the same name gives the same interval.
     """
-    compute = STATISTICS[statistic]
-    if not values.size:
+    return _bootstrap(
+        float(STATISTICS[statistic](values)) if values.size else math.nan,
+        values.size,
+        lambda drawn: values[drawn],
+        statistic,
+        name,
+    )
+
+
+def _bootstrap(
+    value: float,
+    size: int,
+    resample: Callable[[NDArray[np.int64]], Array],
+    statistic: str,
+    name: str,
+) -> IntervalEstimate:
+    """Return a statistic of `size` units with its interval.
+
+    Args:
+        value: of the statistic.
+        size: number of units.
+        resample: returns the values of drawn units (d, size) in each of d draws.
+        statistic: a key of `STATISTICS`.
+        name: of the random stream.
+    """
+    if not size:
         return NOTHING
-    value = float(compute(values))
-    if values.size < MIN_VALUES:
-        return IntervalEstimate(value, math.nan, math.nan, values.size)
+    if size < MIN_VALUES:
+        return IntervalEstimate(value, math.nan, math.nan, size)
     # scipy.stats.bootstrap is not used: it would draw other samples, and so move every interval
     random = named_stream(SEED, f"study-report/{name}")
-    draws = max(min(DRAWS, MAX_DRAWN // values.size), MIN_DRAWS)
-    step = max(DRAWN_AT_ONCE // values.size, 1)
+    draws = max(min(DRAWS, MAX_DRAWN // size), MIN_DRAWS)
+    step = max(DRAWN_AT_ONCE // size, 1)
     resampled = np.concatenate(
         [
-            compute(
-                values[random.integers(values.size, size=(min(step, draws - k), values.size))], 1
+            STATISTICS[statistic](
+                resample(random.integers(size, size=(min(step, draws - k), size))), 1
             )
             for k in range(0, draws, step)
         ]
     )
     low, high = np.quantile(resampled, [0.5 - LEVEL / 2.0, 0.5 + LEVEL / 2.0])
-    return IntervalEstimate(value, float(low), float(high), values.size)
+    return IntervalEstimate(value, float(low), float(high), size)
 
 
 def mean_estimate(values: Array) -> IntervalEstimate:
@@ -190,6 +215,7 @@ def running_quantiles(
 
 Value = float | int | bool | str
 RANDOM_DESIGNS = ("latin-hypercube", "monte-carlo")
+MAP = "map"  # a design whose points are refined while it is flown
 LAW = "controller.law"  # flights of different laws are not pooled
 MAX_GROUPS = 12  # of cases and laws; more are pooled
 MAX_LEVELS = 12  # numbers of a parameter that are drawn one by one; of more, as a scatter
@@ -240,6 +266,12 @@ class StudyFlights:
             for values in (zip(*columns, strict=True) if columns else [()] * len(self.run))
         ]
         return np.array(found, dtype=np.int64)
+
+    @cached_property
+    def case_point(self) -> NDArray[np.int64]:
+        """Number (R,) of the case and the set of parameter values."""
+        points = int(self.point.max(initial=0)) + 1
+        return self.case_index * points + self.point
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -348,6 +380,9 @@ class StudyData:
         command: returns the command that repeats a flight, by its number.
         repeat: the command that repeats the study.
         missing: metrics that the study names and no flight has.
+        refined_metric: of a map, by which it was refined; "": of no map.
+        contour: value of that metric whose contour is drawn.
+        uneven: whether points have different numbers of seeds, because the study chose them.
     """
 
     name: str
@@ -364,11 +399,19 @@ class StudyData:
     command: Callable[[int], str] = str
     repeat: str = ""
     missing: tuple[str, ...] = ()
+    refined_metric: str = ""
+    contour: float | None = None
+    uneven: bool = False
 
     @property
     def random(self) -> bool:
         """Whether points were drawn, so that points instead of seeds are independent."""
         return self.design in RANDOM_DESIGNS
+
+    @property
+    def is_map(self) -> bool:
+        """Whether the points are a part of a grid, finer where the metric changes."""
+        return self.design == MAP
 
     @property
     def unit_name(self) -> str:
@@ -381,10 +424,15 @@ class StudyData:
         return self.flights.point if self.random else self.flights.seed
 
     def unit_means(self, values: Array, where: BoolArray) -> Array:
-        """Average the finite values (R,) of completed flights by independent unit (n,)."""
+        """Average the finite values (R,) of completed flights by independent unit (n,).
+
+        Where points have different numbers of seeds, see `UnevenValues`.
+        """
         some = where & self.flights.completed & np.isfinite(values)
         if not some.any():
             return np.empty(0)
+        if self.pools_uneven(some):
+            return self._uneven(values, some).of_units
         _, index, count = np.unique(self.unit[some], return_inverse=True, return_counts=True)
         means: Array = np.bincount(index, weights=values[some]) / count
         return means
@@ -396,8 +444,21 @@ class StudyData:
 
     def estimate(self, metric: str, where: BoolArray, name: str) -> IntervalEstimate:
         """Compute the statistic over the units with its interval; see `bootstrap`."""
-        values = self.unit_means(self.flights.metrics[metric], where)
+        known = self.flights.metrics[metric]
+        values = self.unit_means(known, where)
+        some = where & self.flights.completed & np.isfinite(known)
+        if self.pools_uneven(some):
+            value = float(STATISTICS[self.statistic](values))
+            resample = self._uneven(known, some).resample
+            return _bootstrap(value, values.size, resample, self.statistic, f"{metric}/{name}")
         return bootstrap(values, self.statistic, f"{metric}/{name}")
+
+    def pools_uneven(self, some: BoolArray) -> bool:
+        """Return whether flights (R,) are of several points with different numbers of seeds."""
+        return self.uneven and not self.random and np.unique(self.flights.case_point[some]).size > 1
+
+    def _uneven(self, values: Array, some: BoolArray) -> UnevenValues:
+        return UnevenValues(values[some], self.unit[some], self.flights.case_point[some])
 
     def differences(self, metric: str, case: int, where: BoolArray | None = None) -> Array:
         """Compute a case minus the first one (n,), paired by point and seed, by unit.

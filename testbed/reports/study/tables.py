@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from testbed.core.files import write_text_file
-from testbed.core.records import BoolArray
+from testbed.core.records import Array, BoolArray
+from testbed.reports.study.map_points import LOST_SHARE, MapPoints, map_axes, map_points
 from testbed.reports.study.report_table import Cell, ReportTable
 from testbed.reports.study.study_data import (
     MAX_LEVELS,
@@ -33,7 +34,7 @@ GROUPS = 4  # of a parameter with many numbers
 def study_tables(study: StudyData) -> Iterator[ReportTable]:
     """Yield the tables for which the study has data."""
     yield overview(study)
-    for table in (effects(study), cases(study)):
+    for table in (boundary(study), effects(study), cases(study)):
         if table is not None:
             yield table
     yield from points(study)
@@ -92,6 +93,47 @@ def overview(study: StudyData) -> ReportTable:
     )
     columns = (*columns, "least", "5 %", "95 %", "largest")
     return ReportTable("overview", "Overview", columns, out, note)
+
+
+def boundary(study: StudyData) -> ReportTable | None:
+    """Tabulate between which points of a map flights are no longer completed."""
+    axes, flights = map_axes(study), study.flights
+    if axes is None or not study.metrics:
+        return None
+    metric, titles = study.metrics[0], [flights.groups_title] if flights.groups_title else []
+    found = {group.name: map_points(study, metric, axes, group.flights) for group in flights.groups}
+    across = [(name, *each) for name, of in found.items() for each in _crossings(of.x, of.y, of)]
+    up = [(name, *each) for name, of in found.items() for each in _crossings(of.y, of.x, of)]
+    # along the first axis, if at least as many levels of the other one have a boundary
+    crossed, of_other = (len({row[:2] for row in rows}) for rows in (across, up))
+    (along, other), rows = (axes, across) if crossed >= of_other else (axes[::-1], up)
+    if not rows:
+        return None
+    note = (
+        f"Neighbouring points along {along.key} of which one is completed, and of the other at"
+        " least half of the flights are not."
+    )
+    columns = (*titles, other.key, f"completed at {along.key}", "not completed at", "most ended")
+    out = [row if titles else row[1:] for row in rows]
+    return ReportTable("boundary", "Boundary of completed flights", columns, out, note)
+
+
+def _crossings(along: Array, other: Array, points: MapPoints) -> Iterator[tuple[str, ...]]:
+    """Yield neighbours of which one is completed: level of the other axis, both, and the end.
+
+    Args:
+        along: (P,) values on the axis along which neighbours are looked for.
+        other: (P,) values on the other axis.
+        points: of the map.
+    """
+    for level in np.unique(other).tolist():
+        row = np.flatnonzero(other == level)
+        row = row[np.argsort(along[row])]
+        kept = points.lost[row] < LOST_SHARE
+        for k in np.flatnonzero(kept[1:] != kept[:-1]).tolist():
+            both = row[[k, k + 1]] if kept[k] else row[[k + 1, k]]
+            numbers = (level, *along[both].tolist())
+            yield (*map(format_level, numbers), points.outcomes[both[1]].replace("_", " "))
 
 
 def points(study: StudyData) -> Iterator[ReportTable]:
@@ -158,7 +200,7 @@ def verdict(difference: IntervalEstimate) -> str:
 def effects(study: StudyData) -> ReportTable | None:
     """Tabulate the effect of each parameter on each metric."""
     flights = study.flights
-    if not flights.parameters:
+    if not flights.parameters or study.is_map:  # more points where the metric changes
         return None
     out: list[tuple[Cell, ...]] = []
     titles = [flights.groups_title] if flights.groups_title else []
