@@ -59,7 +59,8 @@ def amplitude_of(name: str, frequency_hz: float) -> float:
     rate = 2.0 * math.pi * frequency_hz
     if name in GUST_INPUTS:
         return SPEED
-    return max(min(ACCELERATION / rate**2, SPEED / rate, DISTANCE), LEAST_M)
+    largest = min(ACCELERATION / rate**2, SPEED / rate, DISTANCE)
+    return max(largest, LEAST_M) if name in _CURVES else largest
 
 
 def fly_response(scenario: Scenario, name: str, frequency_hz: float, sender: int = 0) -> Flown:

@@ -31,6 +31,7 @@ INPUTS = {**LEADER_INPUTS, **GUST_INPUTS, **MESSAGE_INPUTS}
 LEADER_SIZE = 15  # of the leader's message
 _STILL = 1e-9  # m: what moves less does not move
 _AT_ONCE = 64  # frequencies, whose matrices are in memory together
+_ELEMENTS = 4_000_000  # of the matrices of a formation that are in memory together
 
 
 class Response(NamedTuple):
@@ -81,8 +82,16 @@ class StraightFormation:
             frequency_hz: (F,).
             sender: row of the aircraft whose messages have the error, of MESSAGE_INPUTS.
         """
-        frequency, axis = np.asarray(frequency_hz, dtype=float), INPUTS[name]
-        count, n = len(frequency), len(self.names)
+        frequency = np.asarray(frequency_hz, dtype=float)
+        at_once = max(1, _ELEMENTS // (MESSAGE_SIZE * len(self.names)) ** 2)
+        parts = [
+            self._respond(name, each, sender)
+            for each in np.array_split(frequency, -(-len(frequency) // at_once))
+        ]
+        return Response(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+
+    def _respond(self, name: str, frequency: Array, sender: int) -> Response:
+        axis, count, n = INPUTS[name], len(frequency), len(self.names)
         z = np.exp(2j * np.pi * frequency * self.dt)
         own = np.zeros((count, n, MESSAGE_SIZE), dtype=complex)  # by the input itself
         between = np.zeros((count, n, MESSAGE_SIZE, n, MESSAGE_SIZE), dtype=complex)

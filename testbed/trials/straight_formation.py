@@ -24,7 +24,7 @@ from testbed.trials.held_flight import HeldFlight
 from testbed.trials.linear_formation import LinearFollower, average
 from testbed.trials.period_map import PeriodMaps
 from testbed.trials.predicted_margins import fly_steadily, linearise
-from testbed.trials.steady_flight import MarginsError, check_measurable
+from testbed.trials.steady_flight import MarginsError, check_measurable, steady_scenario
 
 # The integral of the course moves steady slot errors by centimetres for minutes.
 SETTLED_S = 150.0
@@ -91,13 +91,15 @@ def _check_alike(scenario: Scenario) -> None:
     Raises:
         MarginsError: they differ otherwise.
     """
-    where = f"of more than {MOST_LINEARISED} followers each must be alike"
-    first = _without_place(scenario.fleet[0])
-    for k, each in enumerate(scenario.fleet):
+    why = f"more than {MOST_LINEARISED} followers are linearised as alike"
+    # without what steady flight leaves out, such as sensors
+    fleet = steady_scenario(scenario, 0.0).fleet
+    first = _without_place(fleet[0])
+    for k, each in enumerate(fleet):
         if _without_place(each) != first:
             raise MarginsError(
-                f"fleet.{k}: {each.name} differs from {scenario.fleet[0].name}, but {where} (write "
-                "the same keys)"
+                f"fleet.{k}: {each.name} differs from {fleet[0].name}, but {why} (write the same "
+                "keys)"
             )
     formation, network = scenario.formation, scenario.network
     for key, section in (
@@ -108,14 +110,14 @@ def _check_alike(scenario: Scenario) -> None:
         ("network.clocks", network.clocks),
     ):
         if section:
-            raise MarginsError(f"{key}: some followers differ by it, but {where} (leave it out)")
+            raise MarginsError(f"{key}: followers differ by it, but {why} (leave it out)")
     for name in (each.name for each in scenario.fleet):
         all_gains = [formation.leader_gains.get(name, (0.0,) * 3)]
         all_gains += formation.neighbour_gains.get(name, {}).values()
         for gain in all_gains:
             if len({*gain}) > 1:
                 raise MarginsError(
-                    f"formation: a gain of {name} differs between the axes, but {where} (write one "
+                    f"formation: a gain of {name} differs between the axes, but {why} (write one "
                     "number)"
                 )
 

@@ -17,6 +17,7 @@ from testbed.trials.frequency_response import (
     slot_motion,
     transfer,
 )
+from testbed.trials.steady_flight import MarginsError
 from testbed.trials.straight_formation import linearise_straight
 from testbed.trials.string_gain import (
     hop_gains,
@@ -164,3 +165,17 @@ def test_alike_followers_need_eight_maps(monkeypatch):
         assert np.abs(found.b_message[j] - own.b_message[j]).max() < 0.01 * size
     wrong = parts.compose("ninth", 1, offsets, np.array([leader + 1.0, first, 0.0]))
     assert np.abs(wrong.a - own.a).max() > np.abs(found.a - own.a).max() * 20.0
+
+
+@pytest.mark.parametrize(
+    ("change", "error"),
+    [
+        ("fleet.uav15.aircraft=skywalker_x8", "uav15 differs from uav1"),
+        ("formation.agents={uav5: {k: 2}}", "formation.agents"),
+        ("formation.leader_gains={uav1: [1, 1, 0]}", "a gain of uav1 differs between the axes"),
+    ],
+)
+def test_large_formations_are_alike(change, error):
+    """Others are refused, with the key."""
+    with pytest.raises(MarginsError, match=error):
+        linearise_straight(load_scenario("vee-30", [change]))
