@@ -19,6 +19,7 @@ from testbed.cli.options import (
     error_places,
     load_scenario,
     output_option,
+    positive_option,
 )
 from testbed.cli.output import (
     MISSING,
@@ -81,7 +82,12 @@ def frequency_response_command(
     scenario: ScenarioName,
     input: Annotated[
         InputName,
-        typer.Option(help="What swings: the leader, a uniform gust, or the position in messages."),
+        typer.Option(
+            metavar="INPUT",
+            help="What swings: leader-speed, leader-weave or leader-height; gust-forward, "
+            "gust-right or gust-down; or the position in messages, message-forward, "
+            "message-right or message-down.",
+        ),
     ] = InputName.LEADER_SPEED,
     output: Annotated[
         OutputName,
@@ -104,6 +110,15 @@ def frequency_response_command(
             callback=_read_frequencies,
         ),
     ] = None,
+    factor: Annotated[
+        float,
+        positive_option(
+            "FACTOR",
+            "Factor of the amplitudes of the flights, to see where responses are no longer "
+            "proportional.",
+            "--amplitude-factor",
+        ),
+    ] = 1.0,
     overrides: Overrides = None,
     jobs: Jobs = None,
     plot: Annotated[
@@ -131,12 +146,17 @@ def frequency_response_command(
     from testbed.studies.flight_pool import open_flight_pool
     from testbed.studies.frequency_response import Question, response_of, to_document
 
+    if factor != 1.0 and flown is None:
+        raise InputError(
+            f"--amplitude-factor {factor:g}: is for flights (write --flown 0.02,0.1,0.3, too)"
+        )
     loaded = load_scenario(scenario, overrides)
     asked = Question(
         input.value,
         output.value,
         _sender_row(loaded, input, sender),
         tuple(float(part) for part in dict.fromkeys(flown.split(","))) if flown else (),
+        factor,
     )
     messages = message_console()
     with (

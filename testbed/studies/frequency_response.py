@@ -37,12 +37,14 @@ class Question:
         output: "slot-error" or "position".
         sender: row of the aircraft whose messages have the error, of MESSAGE_INPUTS.
         flown_hz: frequencies of flights.
+        factor: of the amplitudes of the flights.
     """
 
     input: str
     output: str
     sender: int
     flown_hz: tuple[float, ...]
+    factor: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,7 +145,7 @@ def _predict(question: Question, scenario: Scenario) -> dict[str, Any]:
 
 
 def _fly(question: Question, frequency_hz: float, scenario: Scenario) -> dict[str, Any]:
-    flown = fly_response(scenario, question.input, frequency_hz, question.sender)
+    flown = fly_response(scenario, question.input, frequency_hz, question.sender, question.factor)
     return {"found": amplitudes(flown.response, question.input, question.output)[0]}
 
 
@@ -171,7 +173,11 @@ def _largest_difference(flown: Array, predicted: Array) -> float:
 
 def to_document(scenario: Scenario, question: Question, response: StringResponse) -> dict[str, Any]:
     """Return a response as plain data for JSON; what does not exist is null."""
-    curves = {"predicted": response.predicted, "flown": response.flown}
+    curves = {
+        "predicted": response.predicted,
+        "predicted_at_flown": response.at_flown,
+        "flown": response.flown,
+    }
     return {
         "schema": 1,
         "scenario": scenario.name,

@@ -33,8 +33,6 @@ RECORD_S = 40.0  # of it at least, in whole periods
 # pitches down by STAB_PITCH_DOWN, and responses are no longer proportional to inputs.
 ACCELERATION, SPEED, DISTANCE = 0.01, 0.03, 1.0
 LEAST_M = 0.001  # of a curve
-
-
 # curves of a virtual leader by the input: kind, key of its amplitude, derivative that this is
 _CURVES = {
     "leader-speed": ("speed-change", "amplitude_mps", 1),
@@ -54,16 +52,18 @@ class Flown(NamedTuple):
     residual: Array
 
 
-def amplitude_of(name: str, frequency_hz: float) -> float:
-    """Return the amplitude of an input, m, or m/s of a gust, at which responses stay small."""
+def amplitude_of(name: str, frequency_hz: float, factor: float = 1.0) -> float:
+    """Return the amplitude of an input, m, or m/s of a gust; at a factor of 1 a small one."""
     rate = 2.0 * math.pi * frequency_hz
     if name in GUST_INPUTS:
-        return SPEED
-    largest = min(ACCELERATION / rate**2, SPEED / rate, DISTANCE)
+        return factor * SPEED
+    largest = factor * min(ACCELERATION / rate**2, SPEED / rate, DISTANCE)
     return max(largest, LEAST_M) if name in _CURVES else largest
 
 
-def fly_response(scenario: Scenario, name: str, frequency_hz: float, sender: int = 0) -> Flown:
+def fly_response(
+    scenario: Scenario, name: str, frequency_hz: float, sender: int = 0, factor: float = 1.0
+) -> Flown:
     """Fly a formation with one input and without it; the difference is its response.
 
     Args:
@@ -71,12 +71,13 @@ def fly_response(scenario: Scenario, name: str, frequency_hz: float, sender: int
         name: of INPUTS.
         frequency_hz: of the input.
         sender: row of the aircraft whose messages have the error, of MESSAGE_INPUTS.
+        factor: of the amplitude.
 
     Raises:
         InputError: an aircraft has no compiled flight model.
     """
     check_measurable(scenario)
-    amplitude = amplitude_of(name, frequency_hz)
+    amplitude = amplitude_of(name, frequency_hz, factor)
     record_s = math.ceil(RECORD_S * frequency_hz) / frequency_hz
     duration_s = SETTLED_S + record_s
     still = _Flight(_swinging(scenario, "", amplitude, frequency_hz, duration_s))

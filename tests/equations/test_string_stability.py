@@ -149,7 +149,7 @@ def test_impulse_response_of_a_lag():
 def test_alike_followers_need_eight_maps(monkeypatch):
     """A ninth follower's map is that composed of the eight others'."""
     eight = straight_formation._EXAMPLES
-    slot, leader, first = (-25.0, 15.0, -10.0), 3.0, 2.0
+    slot, leader, first = (-25.0, 15.0, -10.0), 1.0, 6.0
     monkeypatch.setattr(straight_formation, "_EXAMPLES", (*eight, (slot, leader, first)))
     nine = straight_formation._example(load_scenario("vee-30"))
     maps = straight_formation.linearise(straight_formation._fly_straight(nine))
