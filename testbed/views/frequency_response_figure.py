@@ -57,7 +57,7 @@ def frequency_response_figure(data: ResponseCurves) -> PanelGrid:
     per_hop = [(each.per_hop, each.flown_per_hop) for each in data.followers]
     largest = max(float(each.max()) for each, _ in amplitude)
     limits = float(data.frequency_hz[0]), float(data.frequency_hz[-1])
-    one = Line(np.array(limits), np.ones(2), BLACK, "1: no growth", 1.0, dashes=DASHED)
+    one = Line(np.array(limits), np.ones(2), BLACK, "no growth", 1.0, dashes=DASHED)
     panels = [
         Panel(
             data.quantity,
