@@ -23,7 +23,9 @@ from testbed.trials.follower_state import CONTROL_MEMORY, FollowerStates
 from testbed.trials.held_flight import COMMANDS, LEADER_MESSAGE, MESSAGE, HeldFlight
 
 _OUTPUTS = 3 * len(MESSAGE) + 3 + 2  # message, slot error, roll and pitch
-_MESSAGE_STEP = 0.01  # m, m/s, m/s²
+# m, m/s, m/s²: with large gains more would move throttles past TRIM_THROTTLE, where ArduPlane
+# pitches down
+_MESSAGE_STEP = 0.001
 _ANGLE_STEP = 1e-4  # rad, rad/s
 _COMMAND_STEP = 1e-5  # rad, or throttle
 _WIND_STEP = 1e-3  # m/s

@@ -195,7 +195,9 @@ def _check_linearisable(world: World) -> None:
         problem = "the network is random"
     else:
         return
-    raise MarginsError(f"{problem}, so margins cannot be predicted (write --method flown)")
+    raise MarginsError(
+        f"{problem}, so the formation cannot be linearised (margins: write --method flown)"
+    )
 
 
 def _settle(scenario: Scenario, bank_deg: float, climb_mps: float) -> tuple[HeldFlight, str]:
