@@ -37,6 +37,7 @@ PANELS: Final[Mapping[str, Mapping[str, str]]] = {
         "list": "scenario",
         "law": "law",
         "margins": "margins",
+        "delay": "delay",
         "network": "network",
         "air": "air",
         "schema": "validate",
