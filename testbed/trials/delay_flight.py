@@ -212,6 +212,7 @@ def check_predictable(scenario: Scenario, world: World, *, turning: bool) -> Non
     gains = control.config.gains
     others = [name for link in links.distinct for name in _other_keys(link)]
     network = scenario.network
+    problem, remedy = "", "write --method flown"
     if not control.builtin:
         problem = "controller.law: a law of your own has an equilibrium that is not known"
     elif world.formation.companions is not None:
@@ -223,9 +224,9 @@ def check_predictable(scenario: Scenario, world: World, *, turning: bool) -> Non
         problem = f"network.{key}: only delay_s and independent loss are predicted"
     elif turning and np.any(np.abs(gains[..., 0] - gains[..., 1]) > _ROUNDING):
         problem = "formation: gains that differ north and east have no steady flight in a turn"
-    else:
-        return
-    raise MarginsError(f"{problem} (write --method flown)")
+        remedy = "write equal ones, or --bank 0"
+    if problem:
+        raise MarginsError(f"{problem} ({remedy})")
 
 
 def _other_keys(link: Link) -> list[str]:
