@@ -67,7 +67,7 @@ def test_offset_of_lost_messages_is_flown(monkeypatch):
 
 
 @pytest.mark.parametrize("name", [CHAIN, RING])
-def test_offset_needs_each_hop_and_each_part_of_an_age(name):
+def test_offset_needs_each_hop_and_the_whole_age(name):
     """Faults put back: every hop the leader's delay only; half a control period left out."""
     scenario = loaded(name, delay_s=0.13)
     flown = fly_errors(scenario, 30.0).error_m
@@ -90,7 +90,7 @@ def test_offset_needs_each_hop_and_each_part_of_an_age(name):
 
 
 @pytest.mark.parametrize(("name", "hops"), [(CHAIN, (1, 2, 3)), (RING, (5, 8, 9))])
-def test_offsets_straight_add_up_along_the_graph(name, hops):
+def test_straight_offsets_add_up_along_the_graph(name, hops):
     """-V d at each hop, through the means with the law's weights; climbing, too."""
     motion = SteadyMotion(SPEED, climb=2.0)
     errors = predicted(loaded(name, delay_s=0.13), motion)

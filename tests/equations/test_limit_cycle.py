@@ -77,13 +77,13 @@ def test_limit_cycle_is_that_of_a_flight(turn):
     assert unbiased.roll_deg > 10.0 * amplitude
 
 
-def test_limit_cycle_needs_more_latency_than_the_margin(turn):
+def test_limit_cycle_begins_at_the_margin(turn):
     margin = turn.formation.margins(FOLLOWER, ROLL).latency_s
     assert find_limit_cycle(turn.formation, FOLLOWER, 0.97 * margin, turn.room_deg) is None
     assert find_limit_cycle(turn.formation, FOLLOWER, 1.03 * margin, turn.room_deg) is not None
 
 
-def test_small_kicks_decay_where_large_ones_do_not(turn):
+def test_small_kicks_decay_and_large_ones_do_not(turn):
     """All commands late: a cycle that the describing function of the bank limit has not."""
     small, large = (
         float(np.ptp(turn.bank(INNER, slice(None), 0.18, kick_deg))) for kick_deg in (1.0, -20.0)
