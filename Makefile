@@ -22,7 +22,7 @@ TOOLS_STAMP := $(TOOLS)/.installed
 MAKEFLAGS += --no-print-directory
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test checks warm-sensors warm-flights lint types tests clients check-all train bench rates results margins predictions arduplane netem fly docs release audit newest lock clean
+.PHONY: help setup run test checks warm-sensors warm-flights lint types tests clients check-all train bench rates results margins predictions delay arduplane netem fly docs release audit newest lock clean
 
 help:
 	@sed -n 's/^# \{0,1\}//p' Makefile | sed -n '1,4p'
@@ -138,6 +138,10 @@ predictions: $(STAMP)
 # Measures damping and margins of every profile: the table of docs/margins.md.
 margins: $(STAMP)
 	@$(BIN)/python benchmarks/margins.py --jobs $(JOBS) --into docs/margins.md $(ARGS)
+
+# Predicts and flies what message delay, loss and large disturbances do: tables of docs/margins.md.
+delay: $(STAMP)
+	@$(BIN)/python benchmarks/delay.py --jobs $(JOBS) --into docs/margins.md $(ARGS)
 
 # Flies the studies of the rates in docs/speed.md, resuming interrupted ones: 62 flights of some 1000 s and
 # 120 of 300 s, a quarter of an hour on two quiet cores.

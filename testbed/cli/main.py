@@ -37,6 +37,7 @@ PANELS: Final[Mapping[str, Mapping[str, str]]] = {
         "list": "scenario",
         "law": "law",
         "margins": "margins",
+        "delay": "delay",
         "frequency-response": "frequency_response",
         "network": "network",
         "air": "air",

@@ -61,16 +61,21 @@ def control_function_curve(
     function: ControlFunction | UserControlFunction, z: Array
 ) -> tuple[Array, Array]:
     """Sample μ and μ' at z (K,), m², for figures and checks."""
+    records = np.repeat(control_function_records(function), len(z))
+    return sample_control_functions(records, z)
+
+
+def sample_control_functions(functions: Records, z: Array) -> tuple[Array, Array]:
+    """Return μ and μ' (K,) of records (K,) of MU at z (K,), m²."""
     out = np.empty((2, len(z)))
-    records = control_function_records(function)
-    _write_curve(records, np.ascontiguousarray(z, dtype=np.float64), out)
+    _write_values(functions, np.ascontiguousarray(z, dtype=np.float64), out)
     return out[0], out[1]
 
 
 @entry
-def _write_curve(function: Records, z: Array, out: Array) -> None:
+def _write_values(functions: Records, z: Array, out: Array) -> None:
     for k in range(len(z)):
-        out[0, k], out[1, k] = mu(function[0], z[k])
+        out[0, k], out[1, k] = mu(functions[k], z[k])
 
 
 def make_own(function: Function) -> UserControlFunction:

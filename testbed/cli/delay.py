@@ -1,0 +1,266 @@
+"""The command that finds where late messages leave the followers: delay."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, get_args
+
+import typer
+from rich.table import Table
+from rich.text import Text
+
+from testbed.cli.margins import Method
+from testbed.cli.options import (
+    JsonFile,
+    Overrides,
+    ScenarioName,
+    error_places,
+    load_scenario,
+    output_option,
+)
+from testbed.cli.output import MISSING, result_console, ruled_table, write_json_output
+from testbed.core.errors import InputError
+from testbed.core.files import report_write_errors
+from testbed.core.numbers import parse_number
+
+if TYPE_CHECKING:
+    from testbed.scenario import Scenario
+    from testbed.trials.delay_flight import SteadyErrors
+    from testbed.views.delay_figure import FollowerOffsets
+
+LONGEST_DELAY_S, LARGEST_BANK_DEG = 5.0, 60.0
+AXES = ("forward", "right", "down")
+
+
+def _read_delays(parameter: typer.CallbackParam, text: str) -> str:
+    """Check the delays of --delays; a typer callback."""
+    for part in text.split(","):
+        delay = parse_number(part.strip())
+        if delay is None or not 0.0 <= delay <= LONGEST_DELAY_S:
+            raise InputError(
+                f"--delays {text}: write delays of 0 to {LONGEST_DELAY_S:g} s, such as 0.1,0.2,0.5"
+            )
+    return text
+
+
+def _read_bank(parameter: typer.CallbackParam, bank: float) -> float:
+    """Check --bank; a typer callback."""
+    if not -LARGEST_BANK_DEG <= bank <= LARGEST_BANK_DEG:
+        raise InputError(
+            f"--bank {bank:g}: write -{LARGEST_BANK_DEG:g} to {LARGEST_BANK_DEG:g} degrees; 0 is "
+            "straight"
+        )
+    return bank
+
+
+@dataclass(frozen=True, slots=True)
+class _DelayRow:
+    """The offsets with one delay and one origin of the extrapolation."""
+
+    delay_s: float
+    extrapolate_from: str
+    predicted: SteadyErrors | None
+    flown: SteadyErrors | None
+
+
+def delay_command(
+    scenario: ScenarioName,
+    delays: Annotated[
+        str,
+        typer.Option(
+            metavar="S,...",
+            help="Delays of all messages, seconds.",
+            callback=_read_delays,
+        ),
+    ] = "0.1,0.2,0.5",
+    bank: Annotated[
+        float,
+        typer.Option(
+            metavar="DEG",
+            help="Bank of the steady turn, degrees, clockwise if positive; 0: straight.",
+            callback=_read_bank,
+        ),
+    ] = 0.0,
+    overrides: Overrides = None,
+    method: Annotated[
+        Method,
+        typer.Option(help="Predict the offsets, measure them in steady flights, or do both."),
+    ] = Method.PREDICTED,
+    json: JsonFile = None,
+    figure: Annotated[
+        Path | None,
+        output_option(
+            help="Draw the offsets over the delay: .png, .pdf or .svg.",
+            suffixes=(".png", ".pdf", ".svg"),
+        ),
+    ] = None,
+) -> None:
+    """Find how far late messages leave the followers from their slots in steady flight.
+
+    The followers fly behind a virtual leader at the speed of the scenario's, straight or in a level
+    circle, in still air, without faults and with exact estimates. An offset is the difference of
+    the slot error from that with a perfect network: forward, right and down of the leader's course.
+
+    Each delay is taken twice: with messages extrapolated from their receipt, as in the paper, which
+    leaves the delay as it is, and from the time of measurement, which compensates it. Losses of
+    network.loss count too.
+
+    Predicted offsets are the equilibrium of the law with messages of that age. Flown are the same
+    flights with the scenario's aircraft and middle loop.
+    """
+    from testbed.cli.progress import progress_counter
+
+    loaded = load_scenario(scenario, overrides)
+    times = [float(part.strip()) for part in dict.fromkeys(delays.split(","))]
+    with error_places(scenario, overrides):
+        if method is Method.PREDICTED:
+            rows = list(_rows(loaded, times, bank, method))
+        else:
+            with progress_counter("steady flights") as progress:
+                rows = []
+                for row in _rows(loaded, times, bank, method):
+                    rows.append(row)
+                    progress(len(rows), 2 * len(times))
+    write_json_output(json, _document(loaded, bank, rows))
+    if figure:
+        _draw(loaded, bank, rows, figure)
+    console = result_console(json)
+    turn = f"at {bank:g}° of bank" if bank else "straight"
+    profile = loaded.controller.profile
+    console.write_line(Text.assemble(" ", (loaded.name, "bold"), f" · profile {profile} · {turn}"))
+    console.write_line()
+    console.print_table(_table(loaded.aircraft_names[1:], rows))
+    for row in rows:
+        for how, found in (("predicted", row.predicted), ("flown", row.flown)):
+            if found is not None and (found.problem or found.note):
+                about = f" {how}, {row.delay_s:g} s, from {row.extrapolate_from}: "
+                colour = "yellow" if found.problem else ""
+                console.write_line(about + (found.problem or found.note), colour)
+
+
+def _rows(
+    scenario: Scenario, delays: Sequence[float], bank: float, method: Method
+) -> Iterator[_DelayRow]:
+    from testbed.trials.delay_flight import (
+        Origin,
+        fly_errors,
+        predict_errors,
+        with_network,
+        without_network,
+    )
+
+    perfect = without_network(scenario)
+    finds = {}
+    if method is not Method.FLOWN:
+        finds["predicted"] = predict_errors
+    if method is not Method.PREDICTED:
+        finds["flown"] = fly_errors
+    bases = {how: find(perfect, bank) for how, find in finds.items()}
+    for delay_s in delays:
+        for origin in get_args(Origin):
+            late = with_network(scenario, delay_s, origin)
+            found = {how: _differ(find(late, bank), bases[how]) for how, find in finds.items()}
+            yield _DelayRow(delay_s, origin, found.get("predicted"), found.get("flown"))
+
+
+def _differ(late: SteadyErrors, perfect: SteadyErrors) -> SteadyErrors:
+    from testbed.trials.delay_flight import SteadyErrors
+
+    offset = late.error_m - perfect.error_m
+    return SteadyErrors(offset, late.problem or perfect.problem, late.note or perfect.note)
+
+
+def _table(names: Sequence[str], rows: Sequence[_DelayRow]) -> Table:
+    table = ruled_table()
+    table.add_column(Text("delay\ns", style="bold"), justify="right", no_wrap=True)
+    table.add_column("extrapol.\nfrom", no_wrap=True)
+    table.add_column("\nfollower", no_wrap=True)
+    hows = ("predicted", "flown")
+    present = [how for how in hows if getattr(rows[0], how) is not None]
+    for how in present:
+        for axis in AXES:
+            heading = f"{how}, m" if axis == AXES[0] else ""
+            table.add_column(f"{heading}\n{axis}", justify="right", no_wrap=True)
+    for row in rows:
+        for i, name in enumerate(names):
+            cells: list[str] = []
+            for how in present:
+                found: SteadyErrors = getattr(row, how)
+                texts = [f"{value:.2f}" for value in (found.error_m[i] + 0.0).tolist()]
+                cells += [MISSING] * len(AXES) if found.problem else [_plain(t) for t in texts]
+            first = (f"{row.delay_s:g}", row.extrapolate_from) if i == 0 else ("", "")
+            table.add_row(*first, name, *cells, end_section=i == len(names) - 1)
+    return table
+
+
+def _plain(text: str) -> str:
+    """Return a number without the sign of a zero."""
+    return text.removeprefix("-") if float(text) == 0.0 else text
+
+
+def _document(scenario: Scenario, bank: float, rows: Sequence[_DelayRow]) -> dict[str, Any]:
+    """Return offsets as plain data for JSON."""
+    names = scenario.aircraft_names[1:]
+
+    def plain(found: SteadyErrors | None) -> dict[str, Any] | None:
+        if found is None:
+            return None
+        return {
+            "problem": found.problem,
+            "note": found.note,
+            "offset_m": {
+                name: None if found.problem else dict(zip(AXES, each, strict=True))
+                for name, each in zip(names, found.error_m.tolist(), strict=True)
+            },
+        }
+
+    return {
+        "schema": 1,
+        "scenario": scenario.name,
+        "bank_deg": bank,
+        "offsets": [
+            {
+                "delay_s": each.delay_s,
+                "extrapolate_from": each.extrapolate_from,
+                "predicted": plain(each.predicted),
+                "flown": plain(each.flown),
+            }
+            for each in rows
+        ],
+    }
+
+
+def _draw(scenario: Scenario, bank: float, rows: Sequence[_DelayRow], file: Path) -> None:
+    from testbed.views.delay_figure import delay_figure
+    from testbed.views.matplotlib_backend import save_figure
+
+    turn = f"at {bank:g}° of bank" if bank else "straight"
+    subtitle = f"offset by late messages, {turn}, profile {scenario.controller.profile}"
+    followers = [_of_follower(name, i, rows) for i, name in enumerate(scenario.aircraft_names[1:])]
+    with report_write_errors(f"--figure {file}"):
+        save_figure(delay_figure(scenario.name, subtitle, followers), file)
+
+
+def _of_follower(name: str, i: int, rows: Sequence[_DelayRow]) -> FollowerOffsets:
+    import numpy as np
+
+    from testbed.views.delay_figure import FollowerOffsets
+
+    origins = dict.fromkeys(each.extrapolate_from for each in rows)
+
+    def values(how: str, origin: str) -> Any:  # noqa: ANN401 - an array
+        chosen = [getattr(each, how) for each in rows if each.extrapolate_from == origin]
+        missing = np.full(3, np.nan)
+        return np.array(
+            [missing if each is None or each.problem else each.error_m[i] for each in chosen]
+        )
+
+    delays = [each.delay_s for each in rows if each.extrapolate_from == next(iter(origins))]
+    return FollowerOffsets(
+        name,
+        np.array(delays),
+        {origin: values("predicted", origin) for origin in origins},
+        {origin: values("flown", origin) for origin in origins},
+    )

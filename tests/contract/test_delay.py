@@ -1,0 +1,27 @@
+"""`testbed delay`: its table, JSON, figure and errors."""
+
+import json
+
+from commands import call_command, refuse_all
+
+
+def test_delay_command_predicts(tmp_path):
+    """Both origins of the extrapolation, for each follower; a figure where there is no flight."""
+    words = ("delay", "simulation-2", "--delays", "0.1,0.4", "--bank", "20")
+    done = call_command(
+        *words, "--json", "offsets.json", "--figure", "f.svg", cwd=tmp_path, code=0, columns=80
+    )
+    assert "uav3" in done.stdout and max(map(len, done.stdout.splitlines())) <= 80
+    found = json.loads((tmp_path / "offsets.json").read_text("utf-8"))["offsets"]
+    origins = [(each["delay_s"], each["extrapolate_from"]) for each in found]
+    assert origins == [
+        *((0.1, "receipt"), (0.1, "timestamp"), (0.4, "receipt"), (0.4, "timestamp"))
+    ]
+    forward = [each["predicted"]["offset_m"]["uav1"]["forward"] for each in found]
+    assert -2.4 < forward[0] < -2.0 < forward[1] < 0.0 and forward[2] < -8.0
+    assert all(each["flown"] is None for each in found)
+    assert "predicted, from receipt" in (tmp_path / "f.svg").read_text("utf-8")
+
+
+def test_delay_command_refuses(tmp_path):
+    refuse_all("delay", tmp_path)
