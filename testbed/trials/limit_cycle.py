@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from testbed.trials.linear_formation import LinearFormation
+from testbed.trials.linear_formation import LinearFormation, transfer
 
 ROLL = 1  # row of COMMANDS
 _FREQUENCY_HZ = np.geomspace(0.05, 3.0, 2000)
@@ -77,7 +77,7 @@ def find_limit_cycle(
     own = formation.of(follower)
     at = own.names.index(formation.names[follower])
     late = np.exp(-2j * np.pi * _FREQUENCY_HZ * latency_s)
-    loop = own.open_loop(at, ROLL, _FREQUENCY_HZ) * late
+    loop = own.open_loops(at, _FREQUENCY_HZ)[ROLL] * late
     crossing = np.flatnonzero((loop.imag[:-1] * loop.imag[1:] < 0.0) & (loop.real[:-1] < -1.0))
     if not len(crossing):
         return None
@@ -90,5 +90,6 @@ def find_limit_cycle(
     amplitude_deg = limit_sine(low).amplitude * room_deg
     b, c = own.b_command[at, ..., ROLL].sum(axis=0), own.c_command[at, ROLL]
     frequency = _FREQUENCY_HZ[here : here + 1]
-    bank = own.respond(own.a - np.outer(b, c), b, own.c_attitude[at, 0], frequency)
-    return LimitCycle(float(frequency[0]), gain * amplitude_deg * float(np.abs(bank[0])))
+    z = np.exp(2j * np.pi * frequency * own.dt)
+    bank = transfer(own.a - np.outer(b, c), b[:, np.newaxis], own.c_attitude[at, 0], z)
+    return LimitCycle(float(frequency[0]), gain * amplitude_deg * float(np.abs(bank[0, 0])))

@@ -78,7 +78,7 @@ def test_limit_cycle_is_that_of_a_flight(turn):
 
 
 def test_limit_cycle_begins_at_the_margin(turn):
-    margin = turn.formation.margins(FOLLOWER, ROLL).latency_s
+    margin = turn.formation.margins(FOLLOWER)[ROLL].latency_s
     assert find_limit_cycle(turn.formation, FOLLOWER, 0.97 * margin, turn.room_deg) is None
     assert find_limit_cycle(turn.formation, FOLLOWER, 1.03 * margin, turn.room_deg) is not None
 
