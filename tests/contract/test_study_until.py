@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from commands import call_command
 from study_samples import METRIC, flights_of, study_of
 
 from testbed.cli.study_report import read_study
-from testbed.scenario import ScenarioError
+from testbed.scenario import ScenarioError, find_tuning
 from testbed.studies.plan import Plan, load_study
 from testbed.studies.plan_check import check_plan
 from testbed.studies.point_runs import PointRuns
@@ -18,6 +19,7 @@ from testbed.studies.sequential_interval import MIN_VALUES, relative_half_width
 from testbed.studies.study_schema import Until
 from testbed.studies.sweep import sweep
 from testbed.studies.table import read_table
+from testbed.studies.tune_schema import load_tune
 
 ERROR = "windows.approach.mean_rms_m"
 STUDY = """
@@ -289,3 +291,13 @@ def test_until_wrong_key_is_refused(tmp_path, text, message):
     with pytest.raises(ScenarioError) as error:
         check_plan(Plan(load_study(path)))
     assert message in str(error.value)
+
+
+def test_tune_with_until_is_refused(tmp_path):
+    """A search flies every run of its study."""
+    text = find_tuning("x8-middle-loop").read_text()
+    lines = "study:\n  until: {metric: min_separation_m, half_width: 1}\n"
+    path = tmp_path / "t.yaml"
+    path.write_text(re.sub(r"seeds: .*", "seeds: 9", text.replace("study:\n", lines, 1), count=1))
+    with pytest.raises(ScenarioError, match="study.until: is for testbed sweep: a search flies"):
+        load_tune(path)

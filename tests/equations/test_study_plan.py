@@ -176,7 +176,7 @@ def test_design_new_key_changes_no_other_values(tmp_path, design):
     [
         (HEAD + "design: factorial}", "study.design: has nothing to vary"),
         (HEAD + "desing: factorial}", "did you mean 'design'?"),
-        (HEAD + "design: latin}\nvary: {a.b: [1]}", "write factorial, latin-hypercube, monte"),
+        (HEAD + "design: latin}\nvary: {a.b: [1]}", "latin-hypercube, monte-carlo or map"),
         (HEAD + "seeds: 0}", "study.seeds: must be 1 to 100,000"),
         (HEAD + "seeds: [1, 1]}", "study.seeds: has an element twice"),
         (HEAD + "samples: 3}", "study.samples: is for latin-hypercube"),
