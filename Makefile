@@ -22,7 +22,7 @@ TOOLS_STAMP := $(TOOLS)/.installed
 MAKEFLAGS += --no-print-directory
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test checks warm-sensors warm-flights lint types tests clients check-all train bench rates results margins predictions delay arduplane netem fly docs release audit newest lock clean
+.PHONY: help setup run test checks warm-sensors warm-flights lint types tests clients check-all train bench rates results predictions delay arduplane netem fly docs release audit newest lock clean
 
 help:
 	@sed -n 's/^# \{0,1\}//p' Makefile | sed -n '1,4p'
@@ -131,13 +131,10 @@ results: $(STAMP) freedoms leader-acceleration
 	@$(BIN)/python benchmarks/network.py --into docs/network.md $(ARGS)
 	@$(BIN)/python benchmarks/sensors.py --into docs/sensors.md $(ARGS)
 
-# Compares predictions of the linearised formation with flights: tables of docs/margins.md.
+# Predicts the margins of every profile, and compares predictions with flights: tables of docs/margins.md,
+# a quarter of an hour.
 predictions: $(STAMP)
 	@$(BIN)/python benchmarks/predictions.py --into docs/margins.md $(ARGS)
-
-# Measures damping and margins of every profile: the table of docs/margins.md.
-margins: $(STAMP)
-	@$(BIN)/python benchmarks/margins.py --jobs $(JOBS) --into docs/margins.md $(ARGS)
 
 # Predicts and flies what message delay, loss and large disturbances do: tables of docs/margins.md.
 delay: $(STAMP)

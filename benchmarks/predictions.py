@@ -10,16 +10,17 @@ import math
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import cast
 
 import numpy as np
-from margins import AIRCRAFT, cases
 from tables import insert, row
 
 import testbed
 from testbed.core.oscillations import Oscillation, find_oscillations
 from testbed.core.records import Array
 from testbed.plan.world import build, versions
-from testbed.scenario import Scenario, load_scenario
+from testbed.scenario import Scenario, find_aircraft, load_scenario
+from testbed.scenario.yaml_io import read
 from testbed.studies.flight_pool import open_flight_pool
 from testbed.studies.margins import predicted_margins_of
 from testbed.trials.delay_margin import delay_margins
@@ -31,9 +32,17 @@ from testbed.trials.steady_flight import RECORD_S, steady_scenario
 MARK = "make predictions"
 KICK = math.radians(1.0)
 SMALL_KICK = math.radians(0.02)
-PROFILES, BANKS_DEG = ("tuned", "rms"), (0.0, 30.0, 45.0)
-AT_REST = 1e-3  # of the largest motion: below it nothing grows
-MARGIN_S = 24.0  # of flights whose oscillations grow or decay
+PROFILES = ("tuned", "rms")  # whose predictions are compared with flights
+SIMULATIONS = (1, 2, 3)
+BANKS_DEG = (0.0, 30.0, 45.0)
+AIRCRAFT = {
+    "rascal110": ("Rascal 110", ()),
+    "skywalker_x8": (
+        "Skywalker X8",
+        ("fleet.*.aircraft=skywalker_x8", "formation.speed_pole_per_s=0.4"),
+    ),
+}
+MARGIN_S = 12.0  # of flights whose oscillations grow or decay
 RING_S = (531.0, 533.7)  # of uav1 in Simulation 3, profile rms: a descending turn
 RING_DT = 0.04
 FASTEST_HZ = 5.0  # faster modes are those of filters, and hardly move an aircraft
@@ -41,6 +50,24 @@ PAIR = (
     "formation.leader_gains={uav1: 1, uav2: 1, uav3: 1}",
     "formation.neighbour_gains={uav1: {uav2: 1}, uav2: {uav1: 1}, uav3: {uav2: 1}}",
 )
+
+
+def profiles(aircraft: str) -> list[str]:
+    """Return the profiles of an airframe's middle_loop.yaml."""
+    return list(cast(dict[str, object], read(find_aircraft(aircraft) / "middle_loop.yaml").value))
+
+
+def cases() -> Iterator[tuple[tuple[str, str, float], Scenario]]:
+    """Yield the row of the table, and each scenario in it."""
+    for aircraft, (_, overrides) in AIRCRAFT.items():
+        for profile in profiles(aircraft):
+            for bank_deg in BANKS_DEG:
+                for number in SIMULATIONS:
+                    changes = (*overrides, f"controller.profile={profile}")
+                    yield (
+                        (aircraft, profile, bank_deg),
+                        load_scenario(f"simulation-{number}", changes),
+                    )
 
 
 def text_of_modes() -> str:
@@ -238,18 +265,10 @@ def _flown_margins(
         kicks[i] = SMALL_KICK, SMALL_KICK, 0.02 * SMALL_KICK
         moved = (flight.respond(start, periods, kicks) - still)[:, i]  # type: ignore[arg-type]
         inputs.end()
-        # by two measures, each of which errs at times: the last third beside the middle one, in
-        # third differences, which leave out the slow return to the slot; and fitted modes
-        moving = np.diff(moved, 3, axis=0)
-        third = len(moving) // 3
-        middle, last = np.abs(moving[third : 2 * third]), np.abs(moving[2 * third :])
-        seen = last.max(axis=0) > AT_REST * np.abs(moving).max(axis=0)
-        rising = bool(np.any(seen & (last.max(axis=0) > middle.max(axis=0))))
-        fitted = find_oscillations(
-            np.column_stack((moved[1:, :2], np.diff(moved[:, 2:], axis=0)))[:300], flight.dt
-        )
-        modes = [mode for mode in fitted if mode.frequency_hz < FASTEST_HZ]
-        return not (rising and any(mode.damping < 0.0 for mode in modes))
+        # without the slow return to the slot
+        moving = np.column_stack((moved[1:, :2], np.diff(moved[:, 2:], axis=0)))
+        modes = find_oscillations(moving, flight.dt)
+        return all(mode.damping > 0.0 for mode in modes if mode.frequency_hz < FASTEST_HZ)
 
     def with_gain(value: float) -> None:
         inputs.gain[i, k] = value
@@ -271,7 +290,6 @@ def _flown_margins(
             )
         return low
 
-    # far below a margin fits of a large factor's responses find modes that are none
     return (
         bisect(with_gain, 1.0 + 0.75 * (gain - 1.0), 1.0 + 1.3 * (gain - 1.0)),
         bisect(with_latency, 0.75 * latency_s, 1.3 * latency_s),
@@ -346,7 +364,7 @@ def _mean_rms(scenarios: Sequence[Scenario]) -> float:
         for scenario in scenarios
         for window in testbed.run(scenario, write=False).metrics["windows"].values()
     ]
-    return float(np.mean(windows))
+    return float(np.mean(np.array(windows, dtype=float)))
 
 
 TABLES = {

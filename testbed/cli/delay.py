@@ -89,7 +89,7 @@ def delay_command(
         typer.Option(help="Predict the offsets, measure them in steady flights, or do both."),
     ] = Method.PREDICTED,
     json: JsonFile = None,
-    figure: Annotated[
+    plot: Annotated[
         Path | None,
         output_option(
             help="Draw the offsets over the delay: .png, .pdf or .svg.",
@@ -124,8 +124,8 @@ def delay_command(
                     rows.append(row)
                     progress(len(rows), 2 * len(times))
     write_json_output(json, _document(loaded, bank, rows))
-    if figure:
-        _draw(loaded, bank, rows, figure)
+    if plot:
+        _draw(loaded, bank, rows, plot)
     console = result_console(json)
     turn = f"at {bank:g}° of bank" if bank else "straight"
     profile = loaded.controller.profile
@@ -239,7 +239,7 @@ def _draw(scenario: Scenario, bank: float, rows: Sequence[_DelayRow], file: Path
     turn = f"at {bank:g}° of bank" if bank else "straight"
     subtitle = f"offset by late messages, {turn}, profile {scenario.controller.profile}"
     followers = [_of_follower(name, i, rows) for i, name in enumerate(scenario.aircraft_names[1:])]
-    with report_write_errors(f"--figure {file}"):
+    with report_write_errors(f"--plot {file}"):
         save_figure(delay_figure(scenario.name, subtitle, followers), file)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from enum import StrEnum
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -18,6 +19,7 @@ from testbed.cli.options import (
     ScenarioName,
     error_places,
     load_scenario,
+    output_option,
 )
 from testbed.cli.output import (
     MISSING,
@@ -27,10 +29,12 @@ from testbed.cli.output import (
     write_json_output,
 )
 from testbed.core.errors import InputError
+from testbed.core.files import report_write_errors
 from testbed.core.numbers import parse_number
 from testbed.core.records import join_names
 
 if TYPE_CHECKING:
+    from testbed.scenario import Scenario
     from testbed.trials.margins import FollowerMargins, Margins
     from testbed.trials.predicted_margins import Prediction
 
@@ -82,6 +86,13 @@ def margins_command(
     ] = Method.PREDICTED,
     jobs: Jobs = None,
     json: JsonFile = None,
+    plot: Annotated[
+        Path | None,
+        output_option(
+            help="Draw the poles at each bank: .png, .pdf or .svg.",
+            suffixes=(".png", ".pdf", ".svg"),
+        ),
+    ] = None,
 ) -> None:
     """Find the damping and the margins of a formation in steady flight.
 
@@ -121,6 +132,8 @@ def margins_command(
             with progress_counter("steady flights") as progress:
                 measured = margins_of(cases, pool, progress, climb)
     write_json_output(json, to_document(loaded, predicted, measured))
+    if plot:
+        _draw(loaded, predicted, plot)
     console = result_console(json)
     console.write_line(
         Text.assemble(" ", (loaded.name, "bold"), f" · profile {loaded.controller.profile}")
@@ -142,6 +155,28 @@ def margins_command(
         for text, style in ((one.problem, "yellow"), (one.note, "")):
             if text:
                 console.write_line(f" at {one.bank_deg:g}°: {text}", style)
+
+
+def _draw(scenario: Scenario, predicted: Sequence[Prediction], file: Path) -> None:
+    """Draw the poles of the followers at the banks that have numbers."""
+    import numpy as np
+
+    from testbed.views.matplotlib_backend import save_figure
+    from testbed.views.poles_figure import PolesAtBank, poles_figure
+
+    banks = [
+        PolesAtBank(
+            f"{at.bank_deg:g}° of bank" if at.bank_deg else "straight",
+            {each.name: np.array([mode.pole for mode in each.modes]) for each in at.followers},
+        )
+        for at in predicted
+        if at.followers
+    ]
+    if not banks:
+        raise InputError("--plot: nothing predicted to draw (write --method predicted)")
+    subtitle = f"poles of the linearised formation, profile {scenario.controller.profile}"
+    with report_write_errors(f"--plot {file}"):
+        save_figure(poles_figure(scenario.name, subtitle, banks), file)
 
 
 def _predicted_table(found: Sequence[Prediction]) -> Table:

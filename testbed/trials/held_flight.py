@@ -195,8 +195,7 @@ class HeldFlight:
         """
         present.restore()
         inputs, world = self.inputs, self.world
-        for k, name in enumerate(COMMANDS):  # those of the present, not of the flight before
-            inputs.computed[:, k] = world.aircraft["control"][name][1:]
+        inputs.read_computed(world.aircraft)  # not those of the flight before
         inputs.begin()
         rows = np.empty((periods, len(world.followers), 5))
         begin = round(self.time_s / self.dt)

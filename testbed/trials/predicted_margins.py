@@ -20,7 +20,6 @@ from testbed.trials.delay_margin import DelayMargin, delay_margins
 from testbed.trials.held_flight import COMMANDS, HeldFlight
 from testbed.trials.linear_formation import (
     CommandMargins,
-    LinearFormation,
     Mode,
     join,
 )
@@ -52,12 +51,14 @@ class PredictedMargins:
         bank_deg: as flown.
         least_damped: of the modes that oscillate; None: nothing does.
         commands: margins by the name of the command: pitch, roll, throttle.
+        modes: of it and the followers that influence each other with it, the least damped first.
     """
 
     name: str
     bank_deg: float
     least_damped: Mode | None
     commands: dict[str, CommandMargins]
+    modes: tuple[Mode, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,18 +96,15 @@ def predict_margins(scenario: Scenario, bank_deg: float, climb_mps: float = 0.0)
     maps = linearise(flight)
     formation = join(maps)
     banks = np.degrees(flight.world.aircraft["truth"]["euler"][1:, 0])
-    followers = tuple(
-        PredictedMargins(
-            name,
-            float(banks[i]),
-            _least_damped(formation, i),
-            dict(zip(COMMANDS, formation.margins(i), strict=True)),
-        )
-        for i, name in enumerate(formation.names)
-    )
+    followers = []
+    for i, name in enumerate(formation.names):
+        modes = tuple(formation.of(i).modes())
+        least = next((mode for mode in modes if mode.frequency_hz > 0.0), None)
+        commands = dict(zip(COMMANDS, formation.margins(i), strict=True))
+        followers.append(PredictedMargins(name, float(banks[i]), least, commands, modes))
     # late messages lead to another circle than the one that is linearised
     delays = () if bank_deg else tuple(delay_margins(maps))
-    return Prediction(bank_deg, followers, "", delays)
+    return Prediction(bank_deg, tuple(followers), "", delays)
 
 
 def worse_prediction(turns: Sequence[Prediction]) -> Prediction:
@@ -122,6 +120,7 @@ def worse_prediction(turns: Sequence[Prediction]) -> Prediction:
 
 def _worse_of(pair: Sequence[PredictedMargins]) -> PredictedMargins:
     modes = [each.least_damped for each in pair if each.least_damped is not None]
+    every = [mode for each in pair for mode in each.modes]
     commands = {}
     for name in COMMANDS:
         gains, least, latencies, phases, distances = zip(
@@ -135,6 +134,7 @@ def _worse_of(pair: Sequence[PredictedMargins]) -> PredictedMargins:
         max((each.bank_deg for each in pair), key=abs),
         min(modes, key=lambda mode: mode.damping, default=None),
         commands,
+        tuple(sorted(every, key=lambda mode: mode.damping)),
     )
 
 
@@ -144,11 +144,6 @@ def linearise(flight: HeldFlight) -> PeriodMaps:
     airspeed = round(AIRSPEED_S * clock.base_rate_hz)
     ticks = math.lcm(clock.period, airspeed)
     return linearise_periods(flight, ticks // clock.control)
-
-
-def _least_damped(formation: LinearFormation, follower: int) -> Mode | None:
-    own = formation.of(follower).modes()
-    return next((mode for mode in own if mode.frequency_hz > 0.0), None)
 
 
 def fly_steadily(

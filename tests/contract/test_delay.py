@@ -9,7 +9,7 @@ def test_delay_command_predicts(tmp_path):
     """Both origins of the extrapolation, for each follower; a figure where there is no flight."""
     words = ("delay", "simulation-2", "--delays", "0.1,0.4", "--bank", "20")
     done = call_command(
-        *words, "--json", "offsets.json", "--figure", "f.svg", cwd=tmp_path, code=0, columns=80
+        *words, "--json", "offsets.json", "--plot", "f.svg", cwd=tmp_path, code=0, columns=80
     )
     assert "uav3" in done.stdout and max(map(len, done.stdout.splitlines())) <= 80
     found = json.loads((tmp_path / "offsets.json").read_text("utf-8"))["offsets"]

@@ -1,10 +1,11 @@
 """Damping and margins by kicks in steady flight, and `testbed margins`."""
 
+import json
 import math
 
 import numpy as np
 import pytest
-from commands import refuse_all
+from commands import call_command, refuse_all
 
 from testbed.scenario import load_scenario
 from testbed.studies.flight_task import FlightTask, run_task
@@ -126,3 +127,19 @@ def test_margins_required_are_measured_by_a_worker(scenario):
 
 def test_margins_command_refuses(tmp_path):
     refuse_all("margins", tmp_path)
+
+
+def test_margins_command_predicts(tmp_path):
+    """A table, a figure of the poles, and all poles as JSON; a chain bears every message delay."""
+    words = ("margins", "simulation-2", "--bank", "0", "--jobs", "1")
+    done = call_command(
+        *words, "--json", "m.json", "--plot", "p.svg", cwd=tmp_path, code=0, columns=80
+    )
+    assert "stable at every message delay" in done.stdout
+    assert (tmp_path / "p.svg").stat().st_size > 1000
+    [straight] = json.loads((tmp_path / "m.json").read_text())["predicted"]
+    assert straight["message_delays"] == []
+    for follower in straight["followers"]:
+        oscillations = [mode for mode in follower["modes"] if mode["frequency_hz"] > 0.0]
+        assert oscillations[0] == follower["least_damped"] and len(oscillations) > 3
+        assert follower["commands"]["pitch"]["gain"] > 2.0  # 6 dB
