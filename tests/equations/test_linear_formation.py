@@ -18,19 +18,19 @@ KICK = math.radians(0.01)
 ROLL = 1
 
 
-def begin(name, bank_deg, *overrides):
-    """Return a steady flight, and its state then."""
+def begin(name, climb_mps, *overrides):
+    """Return a steady turn at about 30°, and its state then."""
     scenario = load_scenario(name, list(overrides))
-    flight = HeldFlight(build(steady_scenario(scenario, bank_deg, "compiled")))
+    flight = HeldFlight(build(steady_scenario(scenario, 30.0, "compiled", climb_mps)))
     flight.fly_to(120.0)
     return flight, flight.save()
 
 
 class Linearised:
-    """A steady turn of Simulation 1 at about 30°, in whose graph followers form circles."""
+    """A steady turn."""
 
-    def __init__(self):
-        self.flight, self.start = begin("simulation-1", 30.0, *DELAYED)
+    def __init__(self, name, climb_mps, *overrides):
+        self.flight, self.start = begin(name, climb_mps, *overrides)
         self.maps = linearise(self.flight)
         self.formation = join(self.maps)
 
@@ -49,8 +49,8 @@ class Linearised:
 
 @pytest.fixture(scope="module")
 def turn():
-    """Return the linearised turn."""
-    return Linearised()
+    """Return a turn of Simulation 1, in whose graph followers form circles."""
+    return Linearised("simulation-1", 0.0, *DELAYED)
 
 
 def predicted(formation, follower, periods):
@@ -93,6 +93,18 @@ def test_response_needs_the_whole_state(turn, missing):
     a[rows] = 0.0
     found = predicted(replace(turn.formation, a=a), 0, 200)[:, 0]
     assert largest_error(found, flown) > 0.03
+
+
+def test_response_in_a_descending_turn():
+    """The propeller turns slowly, so the throttle does more than in level flight."""
+    descent = Linearised("simulation-3", -2.0)
+    velocity = descent.flight.world.aircraft["truth"]["velocity_ned"]
+    assert np.abs(velocity[:, 2] - 2.0).max() < 0.05
+    flown = descent.respond(1, 200)[:, 1, :2]
+    assert largest_error(predicted(descent.formation, 1, 200)[:, 1], flown) < 0.01
+    level = Linearised("simulation-3", 0.0)
+    throttle = [each.formation.margins(1)[2].gain for each in (descent, level)]
+    assert throttle[0] < 0.7 * throttle[1]
 
 
 def test_average_has_the_poles_of_the_product(turn):
