@@ -350,7 +350,8 @@ def text_of_profiles() -> str:
                 f"{1000.0 * latency:.0f}" if math.isfinite(latency) else "> 1000",
             )
         )
-    return "\n".join(lines)
+    about = ", ".join(f"{each} {of}" for each, of in versions().items())
+    return "\n".join([*lines, "", f"Measured with {about}."])
 
 
 def _limited(factor: float) -> str:
@@ -384,10 +385,5 @@ if __name__ == "__main__":
         table = TABLES[name]()
         print(table, file=sys.stdout, flush=True)
         if options.into:
-            about = ", ".join(f"{each} {of}" for each, of in versions().items())
-            page = insert(
-                options.into.read_text(encoding="utf-8"),
-                f"{table}\n\nMeasured with {about}.",
-                f"{MARK}, {name}",
-            )
+            page = insert(options.into.read_text(encoding="utf-8"), table, f"{MARK}, {name}")
             options.into.write_text(page, encoding="utf-8")

@@ -31,7 +31,6 @@ from testbed.cli.output import (
 from testbed.core.errors import InputError
 from testbed.core.files import report_write_errors
 from testbed.core.numbers import parse_number
-from testbed.core.records import join_names
 
 if TYPE_CHECKING:
     from testbed.scenario import Scenario
@@ -223,7 +222,8 @@ def _delay_lines(straight: Prediction) -> list[str]:
     lines = []
     for names, delay_s in straight.message_delays:
         bears = f"{delay_s:.2f} s" if math.isfinite(delay_s) else f"> {MAX_DELAY_S:g} s"
-        lines.append(f" {join_names(names)} receive from each other: delay of messages {bears}")
+        followers = ", ".join(names)
+        lines.append(f" {followers} receive from each other: delay of messages {bears}")
     return lines or [" no followers receive from each other: stable at every message delay"]
 
 

@@ -22,6 +22,7 @@ from testbed.formation.slots import write_formation_state
 from testbed.network.links import resolve_links
 from testbed.plan.world import build
 from testbed.scenario import Scenario
+from testbed.scenario.arguments import with_changes
 from testbed.scenario.network import Bernoulli, Link, Network
 from testbed.trials.delay_offset import (
     MessageAges,
@@ -62,17 +63,16 @@ class SteadyErrors:
 
 def with_network(scenario: Scenario, delay_s: float, origin: Origin) -> Scenario:
     """Return a scenario with another delay of the messages and another origin of extrapolation."""
-    return scenario.model_copy(
-        update={
-            "network": scenario.network.model_copy(update={"delay_s": delay_s}),
-            "controller": scenario.controller.model_copy(update={"extrapolate_from": origin}),
-        }
+    return with_changes(
+        scenario,
+        network=with_changes(scenario.network, delay_s=delay_s),
+        controller=with_changes(scenario.controller, extrapolate_from=origin),
     )
 
 
 def without_network(scenario: Scenario) -> Scenario:
     """Return a scenario whose messages all arrive at once."""
-    return scenario.model_copy(update={"network": Network()})
+    return with_changes(scenario, network=Network())
 
 
 def predict_errors(scenario: Scenario, bank_deg: float) -> SteadyErrors:
@@ -94,10 +94,9 @@ def predict_errors(scenario: Scenario, bank_deg: float) -> SteadyErrors:
 def _build(scenario: Scenario, bank_deg: float) -> World:
     check_measurable(scenario)
     steady = steady_scenario(scenario, bank_deg, "compiled")
-    header = steady.scenario.model_copy(
-        update={"duration_s": SETTLE_S + RANDOM_LOOK_S + 2.0 * LOOK_S}
-    )
-    world = build(steady.model_copy(update={"scenario": header}))
+    duration_s = SETTLE_S + RANDOM_LOOK_S + 2.0 * LOOK_S
+    header = with_changes(steady.scenario, duration_s=duration_s)
+    world = build(with_changes(steady, scenario=header))
     check_roll_limits(world, abs(bank_deg))
     return world
 

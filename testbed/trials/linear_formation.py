@@ -253,7 +253,7 @@ def _margins_of(loop: Array, dt: float, stable: bool) -> CommandMargins:
         factors = np.append(factors, -1.0 / loop.real[-1])
     gain = float(factors[factors > 1.0].min(initial=math.inf))
     least = float(factors[factors < 1.0].max(initial=0.0))
-    where, phase = _crossings(np.log(np.abs(loop)), np.unwrap(np.angle(loop)))
+    where, phase = _crossings(np.abs(loop) - 1.0, np.unwrap(np.angle(loop)))
     angular = np.interp(where, np.arange(len(loop)), FREQUENCIES) * np.pi / dt
     latency = float((np.mod(phase + np.pi, 2.0 * np.pi) / angular).min(initial=math.inf))
     to_point = np.abs(np.mod(phase, 2.0 * np.pi) - np.pi)

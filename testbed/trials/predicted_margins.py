@@ -215,6 +215,10 @@ def settle(flight: HeldFlight) -> str:
         moved_deg, _ = _look(flight, LOOK_S)
     if not moved_deg.max() < STEADY_DEG:
         moved_deg = _settle_unstable(flight)
+    # also one that has been lost on the way, and moves no more
+    gone = flight.world.aircraft["down"][1:] | flight.world.aircraft["stopped"][1:]
+    if gone.any():
+        return f"not steady: {flight.world.names[1 + int(gone.argmax())]} has been lost"
     if moved_deg.max() < STEADY_DEG:
         return ""
     worst = int(np.nan_to_num(moved_deg, nan=np.inf).argmax())

@@ -27,15 +27,15 @@ class StateSpace(NamedTuple):
     """A discrete, linear system: x⁺ = a x + b u, y = c x + d u, with deviations from steady flight.
 
     Attributes:
-        a: (S, S).
-        b: (S, U).
-        c: (Y, S).
-        d: (Y, U).
+        a: (n, n).
+        b: (n, k).
+        c: (K, n).
+        d: (K, k).
         dt: s, control period.
-        states: (S,) names.
-        inputs: (U,) names: of a uniform wind, `wind.forward`; of the leader's message as used,
+        states: (n,) names.
+        inputs: (k,) names: of a uniform wind, `wind.forward`; of the leader's message as used,
             `leader.position_ned.right`; of additions to commands, `uav1.roll`.
-        outputs: (Y,) names: of computed commands, `uav1.roll`; of slot errors with the leader's
+        outputs: (K,) names: of computed commands, `uav1.roll`; of slot errors with the leader's
             slot held, `uav1.error.down`; of attitudes, `uav1.attitude.pitch`.
 
     Units are m, s, rad; throttle is 0 to 1. Axes are those of the leader: forward along its course,

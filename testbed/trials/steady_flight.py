@@ -120,8 +120,10 @@ def steady_scenario(
     data = scenario.model_dump(mode="json", by_alias=True)
     for section in ("air", "expect", "limits"):
         data.pop(section)
+    # an unstable flight is settled twice
+    duration_s = 2.0 * LONGEST_SETTLE_S + LONG_RECORD_S + 1.0
     start = data["leader"]["start"]
-    start["altitude_m"] += max(-climb_mps, 0.0) * (LONGEST_SETTLE_S + LONG_RECORD_S)
+    start["altitude_m"] += max(-climb_mps, 0.0) * duration_s
     data["leader"] = {
         **{key: data["leader"][key] for key in ("name", "aircraft")},
         "start": start | {"course_deg": 0.0},
@@ -132,7 +134,7 @@ def steady_scenario(
             each.pop(key, None)
         each["start_m"] = scenario.formation.offsets_m[each["name"]]
     data["scenario"] |= {"windows": {}, "published": None, "engine": engine}
-    data["scenario"]["duration_s"] = LONGEST_SETTLE_S + LONG_RECORD_S + 1.0
+    data["scenario"]["duration_s"] = duration_s
     return Scenario.model_validate(data)
 
 

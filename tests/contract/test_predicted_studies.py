@@ -51,7 +51,8 @@ def test_command_of_a_row_has_its_numbers(rows, tmp_path):
             found = [each["commands"][command][key] for each in followers]
             # null: beyond the largest value that is tried
             worst = min(most if each is None else each for each in found)
-            assert row[f"metrics.margins.{command}_{name}"] == worst
+            # linear algebra differs in the last digits with the number of threads
+            assert row[f"metrics.margins.{command}_{name}"] == pytest.approx(worst, rel=1e-6)
 
 
 def test_row_has_every_number(rows):
@@ -63,7 +64,7 @@ def test_row_has_every_number(rows):
 def test_flight_that_is_not_steady_is_a_row(rows):
     row = rows[1]
     assert row["outcome"] == "failed"
-    assert row["error"].startswith("failed: not steady: the bank of uav")
+    assert row["error"].startswith("failed: not steady: ")
     assert row["metrics.margins.damping"] is None
 
 
