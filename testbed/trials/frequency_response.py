@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from testbed.core.frames import GRAVITY
 from testbed.core.records import Array, BoolArray
-from testbed.trials.linear_formation import MESSAGE_SIZE, LinearFollower
+from testbed.trials.linear_formation import MESSAGE_SIZE, LinearFollower, transfer
 
 # complex numbers; their types differ between releases of numpy
 Complex = NDArray[Any]
@@ -30,7 +30,6 @@ MESSAGE_INPUTS = {f"message-{name}": axis for axis, name in enumerate(AXES)}
 INPUTS = {**LEADER_INPUTS, **GUST_INPUTS, **MESSAGE_INPUTS}
 LEADER_SIZE = 15  # of the leader's message
 _STILL = 1e-9  # m: what moves less does not move
-_AT_ONCE = 64  # frequencies, whose matrices are in memory together
 _ELEMENTS = 4_000_000  # of the matrices of a formation that are in memory together
 
 
@@ -84,26 +83,43 @@ class StraightFormation:
         """
         frequency = np.asarray(frequency_hz, dtype=float)
         at_once = max(1, _ELEMENTS // (MESSAGE_SIZE * len(self.names)) ** 2)
+        z = np.exp(2j * np.pi * frequency * self.dt)
+        answers = [
+            transfer(
+                each.a,
+                np.hstack([*(each.b_message[j] for j in sorted(each.b_message)), each.b_wind]),
+                each.c_message,
+                z,
+            )
+            for each in self.maps
+        ]
         parts = [
-            self._respond(name, each, sender)
-            for each in np.array_split(frequency, -(-len(frequency) // at_once))
+            self._respond(name, frequency[rows], [each[rows] for each in answers], sender)
+            for rows in np.array_split(np.arange(len(frequency)), -(-len(frequency) // at_once))
         ]
         return Response(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
-    def _respond(self, name: str, frequency: Array, sender: int) -> Response:
+    def _respond(
+        self, name: str, frequency: Array, answers: Sequence[Complex], sender: int
+    ) -> Response:
+        """Solve the equations of the graph.
+
+        Args:
+            name: of the input.
+            frequency: (F,) Hz.
+            answers: of each follower, (F, 9, M) its message by the messages that it uses, in the
+                order of their senders, and by the wind.
+            sender: see `respond`.
+        """
         axis, count, n = INPUTS[name], len(frequency), len(self.names)
-        z = np.exp(2j * np.pi * frequency * self.dt)
         own = np.zeros((count, n, MESSAGE_SIZE), dtype=complex)  # by the input itself
         between = np.zeros((count, n, MESSAGE_SIZE, n, MESSAGE_SIZE), dtype=complex)
         moved = leader_motion(axis, self.speed, frequency)
         wrong = np.zeros((LEADER_SIZE if sender == 0 else MESSAGE_SIZE,))
         wrong[axis] = 1.0
-        for i, each in enumerate(self.maps):
-            senders = sorted(each.b_message)
-            into = np.hstack([each.b_message[j] for j in senders] + [each.b_wind])
-            answer = transfer(each.a, into, each.c_message, z)
+        for i, (each, answer) in enumerate(zip(self.maps, answers, strict=True)):
             first = 0
-            for j in senders:
+            for j in sorted(each.b_message):
                 late = self.delay(i, j, frequency)[:, np.newaxis, np.newaxis]
                 part = late * answer[..., first : first + each.b_message[j].shape[1]]
                 first += each.b_message[j].shape[1]
@@ -166,23 +182,6 @@ class StraightFormation:
             acts = [j for j in range(1, i + 1) if self.gains[i, j].any()]
             rows.append(min(acts, key=apart.__getitem__, default=0))
         return tuple(rows)
-
-
-def transfer(a: Array, b: Array, c: Array, z: Complex) -> Complex:
-    """Return c (z − a)⁻¹ b (F, O, M) of a discrete system at F points z.
-
-    Args:
-        a: (S, S).
-        b: (S, M).
-        c: (O, S).
-        z: (F,).
-    """
-    unit = np.eye(len(a))
-    parts = [
-        c @ np.linalg.solve(each[:, np.newaxis, np.newaxis] * unit - a, b)
-        for each in np.array_split(z, -(-len(z) // _AT_ONCE))
-    ]
-    return np.concatenate(parts)
 
 
 def leader_motion(axis: int, speed: float, frequency_hz: Array) -> Complex:

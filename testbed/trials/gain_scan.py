@@ -19,8 +19,9 @@ from testbed.scenario.arguments import check_overrides, check_path
 from testbed.trials.held_flight import COMMANDS
 from testbed.trials.linear_formation import CommandMargins, LinearFormation, join
 from testbed.trials.period_map import linearise_control
-from testbed.trials.predicted_margins import fly_steadily, linearise
-from testbed.trials.steady_flight import MarginsError, steady_scenario
+from testbed.trials.predicted_margins import linearise
+from testbed.trials.state_space import fly_or_refuse
+from testbed.trials.steady_flight import steady_scenario
 
 SAME_COMMANDS = 2e-3  # rad, and of the throttle, between the steady commands of two sets of gains
 
@@ -47,15 +48,11 @@ class GainScan:
         climb_mps: float = 0.0,
     ) -> None:
         """Fly, and linearise."""
-        self._name, self._overrides = (
-            check_path("scenario", scenario),
-            check_overrides("overrides", overrides),
-        )
+        self._name = check_path("scenario", scenario)
+        self._overrides = check_overrides("overrides", overrides)
         self._turn = bank_deg, climb_mps
         flown = load_scenario(self._name, self._overrides)
-        self._flight, problem = fly_steadily(flown, bank_deg, climb_mps)
-        if problem:
-            raise MarginsError(f"{problem} (write a smaller bank_deg or climb_mps)")
+        self._flight = fly_or_refuse(flown, bank_deg, climb_mps)
         self._maps = linearise(self._flight)
         self._fixed = _without_gains(flown)
 

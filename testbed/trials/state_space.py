@@ -12,13 +12,13 @@ from testbed.core.errors import InputError
 from testbed.core.records import Array
 from testbed.scenario import Scenario, find_loaded
 from testbed.scenario.validate import shown_value
-from testbed.trials.held_flight import COMMANDS, LEADER_MESSAGE
+from testbed.trials.frequency_response import AXES, LEADER_SIZE
+from testbed.trials.held_flight import COMMANDS, LEADER_MESSAGE, HeldFlight
 from testbed.trials.linear_formation import LinearFormation, join
 from testbed.trials.predicted_margins import fly_steadily
 from testbed.trials.predicted_margins import linearise as linearise_flight
 from testbed.trials.steady_flight import MarginsError
 
-AXES = ("forward", "right", "down")
 _ANGLES = ("roll", "pitch", "yaw")
 MAX_BANK_DEG, MAX_CLIMB_MPS = 60.0, 20.0
 
@@ -73,6 +73,12 @@ def linearise(
         InputError: an argument is wrong, or the scenario has no such steady flight, or cannot be
             linearised; the message has what to write instead.
     """
+    flight = fly_or_refuse(find_loaded(scenario, overrides), bank_deg, climb_mps)
+    return state_space(join(linearise_flight(flight)))
+
+
+def fly_or_refuse(scenario: Scenario, bank_deg: float, climb_mps: float) -> HeldFlight:
+    """Fly a scenario's formation steadily; see `linearise` for arguments and errors."""
     limits = (("bank_deg", bank_deg, MAX_BANK_DEG), ("climb_mps", climb_mps, MAX_CLIMB_MPS))
     for name, value, largest in limits:
         number = isinstance(value, int | float) and not isinstance(value, bool)
@@ -80,10 +86,10 @@ def linearise(
             raise InputError(
                 f"{name}: is {shown_value(value)} (write a number from {-largest:g} to {largest:g})"
             )
-    flight, problem = fly_steadily(find_loaded(scenario, overrides), bank_deg, climb_mps)
+    flight, problem = fly_steadily(scenario, bank_deg, climb_mps)
     if problem:
         raise MarginsError(f"{problem} (write a smaller bank_deg or climb_mps)")
-    return state_space(join(linearise_flight(flight)))
+    return flight
 
 
 def state_space(formation: LinearFormation) -> StateSpace:
@@ -100,7 +106,7 @@ def state_space(formation: LinearFormation) -> StateSpace:
     d = np.zeros((len(c), b.shape[1]))
     size, wind = len(c) // n, formation.b_wind.shape[1]
     for i in range(n):
-        d[size * i : size * i + len(COMMANDS), wind : wind + 15] = formation.d_leader[i]
+        d[size * i : size * i + len(COMMANDS), wind : wind + LEADER_SIZE] = formation.d_leader[i]
     return StateSpace(
         formation.a,
         b,

@@ -131,3 +131,5 @@ def test_linearise_refuses(arguments, message):
     """Each error has what to write."""
     with pytest.raises(InputError, match=message):
         testbed.linearise("simulation-3", **arguments)
+    with pytest.raises(InputError, match=message):
+        testbed.GainScan("simulation-3", **arguments)

@@ -15,8 +15,8 @@ from testbed.trials.frequency_response import (
     gains_per_hop,
     leader_motion,
     slot_motion,
-    transfer,
 )
+from testbed.trials.linear_formation import transfer
 from testbed.trials.steady_flight import MarginsError
 from testbed.trials.straight_formation import linearise_straight
 from testbed.trials.string_gain import (
