@@ -22,7 +22,7 @@ TOOLS_STAMP := $(TOOLS)/.installed
 MAKEFLAGS += --no-print-directory
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test checks warm-sensors warm-flights lint types tests clients check-all train bench rates results predictions delay arduplane netem fly docs release audit newest lock clean
+.PHONY: help setup run test checks warm-sensors warm-flights lint types tests clients check-all train bench rates results predictions delay numbers arduplane netem fly docs release audit newest lock clean
 
 help:
 	@sed -n 's/^# \{0,1\}//p' Makefile | sed -n '1,4p'
@@ -70,7 +70,8 @@ train: $(STAMP) $(TRAINING_STAMP)
 # numbers of a scenario at and beyond their bounds,
 # real time with nothing else running, a study whose processes are killed, 200 runs killed at random
 # moments and 200 stopped by two signals, the snippets of every docs page, laws of large formations, every
-# golden table, flights of all scenarios saved and restored, golden scenarios that compile nothing in flight, a policy trained to hold a slot, and a release built and flown from a new environment.
+# golden table, flights of all scenarios saved and restored, golden scenarios that compile nothing in flight, a policy trained to hold a slot,
+# every number of the pages but times, and a release built and flown from a new environment.
 check-all: test release
 	@TESTBED_STARTS=1000 $(BIN)/pytest -q tests/theorems/test_theorem_many_starts.py
 	@TESTBED_AIR_SAMPLES=60 $(BIN)/pytest -q -n $(JOBS) tests/equations/test_atmosphere_dryden.py \
@@ -106,6 +107,7 @@ check-all: test release
 		tests/truth/test_four_arduplanes.py
 	@$(BIN)/testbed check --jobs $(JOBS)
 	@$(MAKE) train ARGS=
+	@$(MAKE) numbers ARGS=--check
 
 # Cost of a flight relative to bare JSBSim, by size of the fleet (ARGS="--json FILE --into
 # docs/speed.md" writes it); of coherent turbulence and of sensor errors; of the network of 100 aircraft;
@@ -122,14 +124,21 @@ bench: $(STAMP)
 
 include paper/targets.mk
 
-# Flies every row of the tables in docs/results/simulations.md, experiments.md, air.md, network.md and sensors.md,
-# and of those of the folder paper that are not studies, and writes them there.
+# Flies every row of the tables in docs/results/simulations.md, experiments.md, air.md, network.md, sensors.md,
+# faults.md, own-law.md and large.md, and of those of the folder paper that are not studies, and writes them there.
 results: $(STAMP) freedoms leader-acceleration
 	@$(BIN)/python benchmarks/results.py --into docs/results/simulations.md $(ARGS)
 	@$(BIN)/python benchmarks/experiments.py --into docs/results/experiments.md $(ARGS)
 	@$(BIN)/python benchmarks/air.py --into docs/air.md $(ARGS)
 	@$(BIN)/python benchmarks/network.py --into docs/network.md $(ARGS)
 	@$(BIN)/python benchmarks/sensors.py --into docs/sensors.md $(ARGS)
+	@$(BIN)/python benchmarks/faults.py --into docs/faults.md $(ARGS)
+	@$(BIN)/python benchmarks/examples.py --into docs/own-law.md docs/large.md $(ARGS)
+
+# Makes again what is older than one of its inputs, and nothing else: tables and pictures of all pages.
+# ARGS=--check makes all but times again, and compares them with the pages; without writing.
+numbers: $(STAMP)
+	@$(BIN)/python benchmarks/stale.py --jobs $(JOBS) $(or $(ARGS),--write)
 
 # Predicts the margins of every profile, and compares predictions with flights: tables of docs/margins.md,
 # a quarter of an hour.
@@ -164,8 +173,10 @@ netem: $(STAMP)
 fly: $(STAMP)
 	@rm -rf build/flight && $(BIN)/python release/flight.py $(BIN)/formation-testbed build/flight
 
-# The site in build/site: open index.html there; the search works in files, too.
+# The site in build/site: open index.html there; the search works in files, too. Lists tables and pictures
+# that are older than one of their inputs, which `make release` refuses.
 docs: $(STAMP)
+	@$(BIN)/python benchmarks/stale.py >&2 || [ $$? -eq 3 ]
 	@$(BIN)/python website/build.py
 
 # Wheel, sdist, pins, bill of materials and checksums in dist/, built from the last commit, checked, and

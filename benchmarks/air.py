@@ -9,7 +9,8 @@ import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from tables import Case, Metrics, row, versions, write_tables
+from inputs import Case, Inputs
+from tables import COMMAND, Metrics, row, versions, write_tables
 
 TESTS = Path(__file__).parents[1] / "tests"
 sys.path += [str(TESTS), str(TESTS / "truth")]
@@ -120,5 +121,12 @@ def text(flown: Mapping[Case, Metrics]) -> list[str]:
     ]
 
 
+INPUTS = {
+    COMMAND: Inputs(
+        (WIND_ONLY, *TURBULENT.values(), *WAKES.values()),
+        files=("aircraft/skywalker_x8/skywalker_x8.xml",),
+    )
+}
+
 if __name__ == "__main__":
-    write_tables(__doc__ or "", [WIND_ONLY, *TURBULENT.values(), *WAKES.values()], text)
+    write_tables(__doc__ or "", INPUTS, {COMMAND: text})

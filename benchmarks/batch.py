@@ -20,12 +20,12 @@ from typing import NamedTuple
 import gymnasium
 import numpy as np
 from full_over_bare import bare
-from tables import insert, row
+from inputs import Inputs
+from tables import add_output_arguments, draw, publish, row
 
 import testbed
 import testbed.rl  # noqa: F401 - registers the environment
 from testbed.scenario import load_scenario, set_duration
-from testbed.views.matplotlib_backend import save_figure
 from testbed.views.panels import BLUE, DASHED, GREY, ORANGE, Line, Panel, PanelGrid
 
 TURNS, FLIGHT_S, BARE_S = 3, 60.0, 20.0
@@ -33,6 +33,7 @@ ROWS = (1, 2, 4, 8, 16, 32, 64, 128)
 ENVIRONMENTS, ENV_STEPS = (1, 4, 16, 64), 300
 FIGURE = Path(__file__).parent.parent / "docs" / "images" / "many-flights.png"
 MARK = "python benchmarks/batch.py"
+INPUTS = {MARK: Inputs()}  # times depend on packages and machine, not on gains
 
 
 class Rate(NamedTuple):
@@ -167,15 +168,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--rows", type=int, nargs="+", default=ROWS)
     parser.add_argument("--physics-hz", type=int, default=100)
-    parser.add_argument("--into", type=Path, help="a Markdown file with the two markers")
+    add_output_arguments(parser)
     args = parser.parse_args()
     processors = len(os.sched_getaffinity(0))
     rates = [measure(each, args.physics_hz) for each in args.rows]
     lines = text(rates, args.physics_hz, processors)
-    print(lines)
-    if args.into:
-        save_figure(picture(rates, processors), FIGURE)
-        args.into.write_text(insert(args.into.read_text(encoding="utf-8"), lines, MARK))
+    draw(picture(rates, processors), FIGURE)
+    publish(args, {MARK: lines}, INPUTS)
 
 
 if __name__ == "__main__":

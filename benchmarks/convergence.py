@@ -12,13 +12,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from inputs import Inputs
 from study_rows import Rows, fly, fly_rows, numbers, write_tables
-from tables import row
+from tables import draw, row
 
 from testbed.core.records import Array
 from testbed.core.stats import student_interval
 from testbed.scenario.sections import Rates
-from testbed.views.matplotlib_backend import save_figure
 from testbed.views.panels import (
     BLACK,
     BLUE,
@@ -208,7 +208,7 @@ def text(folder: Path, jobs: int) -> str:
     flights, versions = fly_rates(STUDY, folder, jobs)
     of_seeds, _ = fly_rates(SEEDS_STUDY, folder, jobs)
     others, _ = fly(OTHERS_STUDY, folder / f"{OTHERS_STUDY}.parquet", jobs)
-    save_figure(figure(flights), FIGURE)
+    draw(figure(flights), FIGURE)
     return "\n".join(_text(flights, of_seeds, others, versions))
 
 
@@ -247,5 +247,7 @@ def _text(flights: Flights, of_seeds: Flights, others: Rows, versions: str) -> S
     ]
 
 
+INPUTS = {MARK: Inputs(studies=(STUDY, SEEDS_STUDY, OTHERS_STUDY))}
+
 if __name__ == "__main__":
-    write_tables(__doc__ or "", RESULTS, {MARK: text})
+    write_tables(__doc__ or "", RESULTS, INPUTS, {MARK: text})

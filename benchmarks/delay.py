@@ -7,14 +7,16 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from functools import cache
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from tables import insert, row
+from inputs import Case as Flight
+from inputs import Inputs
+from tables import add_output_arguments, part_of, publish, row
 
 import testbed
 from testbed.core.records import Array
@@ -320,18 +322,28 @@ TABLES: Mapping[str, Callable[[int], Iterator[str]]] = {
     "make delay: limit cycles": lambda jobs: cycle_tables(),
 }
 
+INPUTS = {
+    "make delay: offsets": Inputs(
+        tuple(
+            Flight(simulation, (f"controller.profile={profile}",))
+            for simulation in SIMULATIONS
+            for profile in PROFILES
+        )
+    ),
+    "make delay: missions": Inputs(tuple(Flight(simulation) for simulation in SIMULATIONS)),
+    "make delay: loss": Inputs((Flight("simulation-2"),)),
+    "make delay: limit cycles": Inputs(
+        tuple(Flight("simulation-3", (f"controller.profile={of}",)) for of, *_ in CYCLES)
+    ),
+}
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--into", type=Path, help="a Markdown file with the markers")
-    parser.add_argument("--only", choices=[name.split(": ")[1] for name in TABLES])
+    add_output_arguments(parser, INPUTS)
     options = parser.parse_args()
+    same = True
     for mark, make in TABLES.items():
-        if options.only and not mark.endswith(f": {options.only}"):
-            continue
-        table = "\n".join(make(options.jobs))
-        print(table, flush=True)
-        if options.into:
-            page = insert(options.into.read_text(encoding="utf-8"), table, mark)
-            options.into.write_text(page, encoding="utf-8")
+        if part_of(mark) in options.only:
+            same &= publish(options, {mark: "\n".join(make(options.jobs))}, INPUTS)
+    sys.exit(0 if same else 1)

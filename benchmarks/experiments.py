@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from tables import NOISE, SEEDS, Case, Metrics, row, versions, write_tables
+from inputs import Case, Inputs
+from tables import COMMAND, NOISE, SEEDS, Metrics, row, versions, write_tables
 
 from testbed.scenario import load_scenario
 
@@ -108,5 +109,7 @@ def text(flown: Mapping[Case, Metrics]) -> list[str]:
     ]
 
 
+INPUTS = {COMMAND: Inputs((*PAPER.values(), *MIXED_FLEETS.values(), *SCAN.values()))}
+
 if __name__ == "__main__":
-    write_tables(__doc__ or "", [*PAPER.values(), *MIXED_FLEETS.values(), *SCAN.values()], text)
+    write_tables(__doc__ or "", INPUTS, {COMMAND: text})

@@ -10,7 +10,8 @@ import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from tables import insert, row
+from inputs import Inputs
+from tables import add_output_arguments, publish, row
 
 from testbed.scenario.sections import Rates
 from testbed.vehicle.environment import (
@@ -20,7 +21,6 @@ from testbed.vehicle.environment import (
     EULER,
     INTEGRATORS,
     JSBSIM_DEFAULT_INTEGRATORS,
-    Integrators,
 )
 
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "truth"))
@@ -38,6 +38,7 @@ from nesc_cases import (  # noqa: E402
 )
 
 COMMAND = "python benchmarks/nesc.py"
+INPUTS = {COMMAND: Inputs(packages=("jsbsim",))}  # JSBSim alone, by the tests
 RATE_HZ = Rates().physics_hz
 GROUPS = {"1, 6, 7, 8: falling spheres": (1, 6, 7, 8), "2, 3: tumbling bricks": (2, 3)}
 GROUPS["9, 10: cannonballs"] = (9, 10)
@@ -60,7 +61,10 @@ NAMES = {
 }
 TUMBLING = (YAW, PITCH, ROLL, ROLL_RATE, PITCH_RATE, YAW_RATE)
 ORDERS = {EULER: "1", ADAMS_BASHFORTH_2: "2", ADAMS_BASHFORTH_3: "3", ADAMS_BASHFORTH_4: "4"}
-HIGHER = Integrators(ADAMS_BASHFORTH_3, ADAMS_BASHFORTH_2, ADAMS_BASHFORTH_3, ADAMS_BASHFORTH_3)
+STATES = 4  # of the integrators; the last field is no order
+HIGHER = INTEGRATORS._replace(
+    rate_rotational=ADAMS_BASHFORTH_3, position_rotational=ADAMS_BASHFORTH_3
+)
 
 
 def cell(differences: Sequence[Difference], quantity: str) -> str:
@@ -93,7 +97,7 @@ def integrators_table() -> Iterator[str]:
         ("the testbed's", INTEGRATORS),
         ("one order more for rates and attitude", HIGHER),
     ):
-        orders = ", ".join(ORDERS[each] for each in integrators)
+        orders = ", ".join(ORDERS[each] for each in integrators[:STATES])
         for rate_hz in (100, 200):
             flown = fly(2, rate_hz, integrators)
             cells = (cell(flown, quantity) for quantity in TUMBLING)
@@ -103,7 +107,7 @@ def integrators_table() -> Iterator[str]:
 def main() -> None:
     """Fly, print and insert the text."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--into", type=Path, help="a Markdown file with the two markers")
+    add_output_arguments(parser)
     options = parser.parse_args()
     text = "\n".join(
         [
@@ -117,10 +121,7 @@ def main() -> None:
             "Orders of body rates, velocity, attitude and position; bold: outside.",
         ]
     )
-    print(text)
-    if options.into:
-        page = options.into.read_text(encoding="utf-8")
-        options.into.write_text(insert(page, text, COMMAND), encoding="utf-8")
+    sys.exit(0 if publish(options, {COMMAND: text}, INPUTS) else 1)
 
 
 if __name__ == "__main__":

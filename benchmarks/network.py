@@ -9,9 +9,9 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
-from tables import Case, Metrics, row, versions, write_tables
+from inputs import Case, Inputs
+from tables import COMMAND, Metrics, draw, row, versions, write_tables
 
-from testbed.views.matplotlib_backend import save_figure
 from testbed.views.panels import BLUE, DASHED, GREEN, ORANGE, Band, Line, Panel, PanelGrid
 
 FIGURE = Path(__file__).parents[1] / "docs" / "images" / "network-loss-latency.png"
@@ -148,7 +148,7 @@ def figure(flown: Mapping[Case, Metrics]) -> PanelGrid:
 
 def text(flown: Mapping[Case, Metrics]) -> list[str]:
     """Return the tables as Markdown lines, and draw the figure."""
-    save_figure(figure(flown), FIGURE)
+    draw(figure(flown), FIGURE)
     return [
         f"Flown with {versions(flown)}.",
         "",
@@ -169,5 +169,7 @@ def text(flown: Mapping[Case, Metrics]) -> list[str]:
     ]
 
 
+INPUTS = {COMMAND: Inputs((*GRID.values(), *DIVIDED.values(), *ENCODED.values()))}
+
 if __name__ == "__main__":
-    write_tables(__doc__ or "", [*GRID.values(), *DIVIDED.values(), *ENCODED.values()], text)
+    write_tables(__doc__ or "", INPUTS, {COMMAND: text})

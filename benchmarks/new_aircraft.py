@@ -1,6 +1,6 @@
 """All aircraft that come with JSBSim through `testbed new aircraft`, in one table.
 
-    python benchmarks/new_aircraft.py [--only NAME,...] [--keep FOLDER]
+    python benchmarks/new_aircraft.py [--only NAME,...] [--keep FOLDER] [--into PAGE]
 
 Each is a process of its own, and is ended after LONGEST_S. An aircraft flies if the command writes
 its folder; it trims if it flies, or if the reason of the refusal begins after its trim.
@@ -19,11 +19,16 @@ import time
 from pathlib import Path
 from typing import Any
 
+from inputs import Inputs
+from tables import add_output_arguments, publish
+
 import testbed.cli.main
 import testbed.trials.aircraft_files  # once for all, before the first fork
 from testbed.vehicle.jsbsim_adapter import SHARED_FILES
 
 LONGEST_S = 300.0
+MARK = "python benchmarks/new_aircraft.py"
+INPUTS = {MARK: Inputs()}  # the aircraft come with JSBSim
 _TRIMS = ": trims at "
 _TIMES = {1: "once", 2: "twice"}
 
@@ -101,27 +106,35 @@ def row(found: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    """Try all, print a row after each, and the counts."""
+    """Try all, and print or insert the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--only", default="", help="names, separated by commas")
     parser.add_argument("--keep", type=Path, help="folder for the aircraft that fly")
+    add_output_arguments(parser)
     options = parser.parse_args()
+    if options.into and options.only:
+        parser.error("--into writes all aircraft: leave out --only")
     only = set(filter(None, options.only.split(",")))
     results = []
-    print("| aircraft | result | m/s | bank to 63 %, overshoot | pitch | |")
-    print("|---|---|--:|---|---|---|")
     with tempfile.TemporaryDirectory() as scratch:
         folder = options.keep or Path(scratch)
         for file in aircraft_files():
             if only and file.stem not in only:
                 continue
             results.append(try_aircraft(file, folder / file.stem))
-            print(row(results[-1]), flush=True)
             print(f"{file.stem}: {results[-1]['seconds']:.0f} s", file=sys.stderr, flush=True)
     flies = sum("reason" not in each for each in results)
     trims = flies + sum(_TRIMS in each.get("reason", "") for each in results)
     slowest = max(each["seconds"] for each in results)
-    print(f"\n{len(results)} aircraft: {trims} trim, {flies} fly; at most {slowest:.0f} s for one")
+    print(f"At most {slowest:.0f} s for one aircraft", file=sys.stderr)
+    lines = [
+        "| aircraft | result | m/s | bank: 63 %, overshoot | pitch | |",
+        "|---|---|--:|---|---|---|",
+        *map(row, results),
+        "",
+        f"{len(results)} aircraft: {trims} trim, {flies} fly the minute without ringing.",
+    ]
+    sys.exit(0 if publish(options, {MARK: "\n".join(lines)}, INPUTS) else 1)
 
 
 if __name__ == "__main__":

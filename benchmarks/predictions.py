@@ -9,11 +9,11 @@ import argparse
 import math
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
 from typing import cast
 
 import numpy as np
-from tables import insert, row
+from inputs import Case, Inputs
+from tables import add_output_arguments, part_of, publish, row
 
 import testbed
 from testbed.core.oscillations import Oscillation, find_oscillations
@@ -375,15 +375,28 @@ TABLES = {
     "delays": text_of_delays,
     "ring": text_of_ring,
 }
+_PROFILES = tuple(Case("simulation-3", (f"controller.profile={each}",)) for each in PROFILES)
+INPUTS = {
+    f"{MARK}, profiles": Inputs(
+        tuple(
+            Case(f"simulation-{number}", (*overrides, f"controller.profile={profile}"))
+            for aircraft, (_, overrides) in AIRCRAFT.items()
+            for profile in profiles(aircraft)
+            for number in SIMULATIONS
+        )
+    ),
+    f"{MARK}, modes": Inputs(_PROFILES),
+    f"{MARK}, margins": Inputs(_PROFILES),
+    f"{MARK}, delays": Inputs((Case("simulation-1"), Case("simulation-3", PAIR))),
+    f"{MARK}, ring": Inputs((Case("simulation-3", ("controller.profile=rms",)),)),
+}
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--only", choices=TABLES)
-    parser.add_argument("--into", type=Path, help="a Markdown file with the markers")
+    add_output_arguments(parser, INPUTS)
     options = parser.parse_args()
-    for name in [options.only] if options.only else TABLES:
-        table = TABLES[name]()
-        print(table, file=sys.stdout, flush=True)
-        if options.into:
-            page = insert(options.into.read_text(encoding="utf-8"), table, f"{MARK}, {name}")
-            options.into.write_text(page, encoding="utf-8")
+    same = True
+    for mark in INPUTS:
+        if part_of(mark) in options.only:
+            same &= publish(options, {mark: TABLES[part_of(mark)]()}, INPUTS)
+    sys.exit(0 if same else 1)

@@ -10,6 +10,7 @@ which only the errors are known. All use the Rascal, tune and gains of those fli
 from __future__ import annotations
 
 import argparse
+import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
@@ -18,8 +19,9 @@ from typing import Any, NamedTuple
 from unittest import mock
 
 import numpy as np
-from recorded_arduplane import LINKED_TUNE, make_linked_airframe
-from tables import insert_parts, row
+from inputs import Case, Inputs
+from recorded_arduplane import LINKED_GAINS, LINKED_TUNE, make_linked_airframe
+from tables import add_output_arguments, draw, publish, row
 
 import testbed
 from testbed.autopilot.parameters import read_params
@@ -31,7 +33,6 @@ from testbed.plan import vehicles as build_vehicles
 from testbed.scenario import load_scenario, set_duration
 from testbed.vehicle.environment import JSBSIM_DEFAULT_INTEGRATORS
 from testbed.vehicle.workers import make_fleet
-from testbed.views.matplotlib_backend import save_figure
 from testbed.views.panels import BLUE, GREY, ORANGE, Band, Line, Panel, PanelGrid
 
 ROOT = Path(__file__).parent.parent
@@ -353,23 +354,34 @@ def figure(pairs: Pairs) -> PanelGrid:
     )
 
 
+_FILES = tuple(
+    each.relative_to(ROOT).as_posix()
+    for each in (RECORDING, LINKED_TUNE, LINKED_GAINS, ROOT / "aircraft/rascal110/rascal110.xml")
+)
+INPUTS = {
+    MARK: Inputs((Case(SCENARIO, SITL),), files=_FILES),
+    OTHERS_MARK: Inputs(
+        tuple(Case(scenario, overrides) for _, scenario, overrides, *_ in _OTHERS), files=_FILES
+    ),
+}
+
+
 def main() -> None:
     """Fly the profiles, draw the figure, and print or insert the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--into", type=Path, nargs="*", default=(), help="Markdown files")
+    add_output_arguments(parser)
     options = parser.parse_args()
     pairs = {}
     for profile in PROFILES:
         real = recorded(profile)
         pairs[profile] = fly_virtual(profile, real.time), real
-    save_figure(figure(pairs), FIGURE)
+    draw(figure(pairs), FIGURE)
     real = pairs[PROFILES[0]][1]
     parts = {
         MARK: text(pairs, fly_virtual(PROFILES[0], real.time, pulses=True)),
         OTHERS_MARK: others_text(),
     }
-    print(*parts.values(), sep="\n\n")
-    insert_parts(options.into, parts)
+    sys.exit(0 if publish(options, parts, INPUTS) else 1)
 
 
 if __name__ == "__main__":

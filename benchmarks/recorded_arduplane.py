@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import shutil
+import sys
 import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -17,7 +18,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from tables import insert_parts, row
+from inputs import Inputs
+from tables import add_output_arguments, publish, row
 
 from testbed.autopilot.parameters import AutopilotTiming
 from testbed.core.frames import GRAVITY
@@ -33,6 +35,15 @@ LINKED_GAINS = ROOT / "tests" / "data" / "arduplane_simulation_3_gains.yaml"
 RECORDING = ROOT / "tests" / "data" / "arduplane_fbwa_rascal_steps.csv"
 MARK, DRAG_MARK = "make arduplane, recording", "make arduplane, drag"
 FAST_MARK = "make arduplane, fast manoeuvres"
+_FILES = (
+    RECORDING.relative_to(ROOT).as_posix(),
+    *(
+        each.relative_to(ROOT).as_posix()
+        for each in sorted(RASCAL.rglob("*"))
+        if each.suffix in (".xml", ".param")
+    ),
+)
+INPUTS = {mark: Inputs(files=_FILES) for mark in (MARK, FAST_MARK, DRAG_MARK)}
 # The recording is of SITL with physics at 200 Hz, which has a gyro filter of 4 Hz.
 SITL = AutopilotTiming(sitl_physics_hz=200.0)
 PROMPT = replace(SITL, command_latency=0.0)
@@ -266,7 +277,7 @@ def drag_text(pitch_deg: Mapping[str, float]) -> str:
 def main() -> None:
     """Replay, and print and insert the text."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--into", type=Path, nargs="*", default=(), help="Markdown files")
+    add_output_arguments(parser)
     options = parser.parse_args()
     recorded, ours = read(RECORDING), replay(RASCAL)
     with tempfile.TemporaryDirectory() as folder:
@@ -287,8 +298,7 @@ def main() -> None:
         FAST_MARK: "\n".join(fast_text(fast)),
         DRAG_MARK: drag_text(pitch),
     }
-    print(*parts.values(), sep="\n\n")
-    insert_parts(options.into, parts)
+    sys.exit(0 if publish(options, parts, INPUTS) else 1)
 
 
 if __name__ == "__main__":

@@ -11,11 +11,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from inputs import Case, Inputs
 from tables import (
+    COMMAND,
     MARKS_TEXT,
     NOISE,
     SEEDS,
-    Case,
     Metrics,
     mark,
     row,
@@ -248,6 +249,7 @@ def text(flown: Mapping[Case, Metrics]) -> list[str]:
 
 
 KINDS: Sequence[Mapping[Any, Case]] = (PAPER, CHANGED, HARD_PATHS, MARGINS, CALM, NOISY)
+INPUTS = {COMMAND: Inputs(tuple(case for kind in KINDS for case in kind.values()))}
 
 if __name__ == "__main__":
-    write_tables(__doc__ or "", [case for kind in KINDS for case in kind.values()], text)
+    write_tables(__doc__ or "", INPUTS, {COMMAND: text})

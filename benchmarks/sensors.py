@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tables import Case, Metrics, row, versions, write_tables
+from inputs import Case, Inputs
+from tables import COMMAND, Metrics, draw, row, versions, write_tables
 
 import testbed
 from testbed.core.records import Array, Event, RunInfo, Sample
 from testbed.reports.plot_selection import LEADER_COLOUR, STYLES
-from testbed.views.matplotlib_backend import save_figure
 from testbed.views.panels import GREY, Line, Panel, PanelGrid
 
 FIGURE = Path(__file__).parents[1] / "docs" / "images" / "sensors-pixhawk.png"
@@ -186,7 +186,7 @@ def text(flown: Flown) -> list[str]:
     """Return the tables as Markdown lines, and draw the figure."""
     trace = Trace()
     testbed.run("simulation-3", [*ALL, "scenario.seed=1"], write=False, observers=[trace])
-    save_figure(figure(trace), FIGURE)
+    draw(figure(trace), FIGURE)
     return [
         f"Flown with {versions(flown)}.",
         f"Simulation 3 with these sensors on every aircraft and seeds {SEEDS[0]} to {SEEDS[-1]}.",
@@ -205,5 +205,7 @@ def text(flown: Flown) -> list[str]:
     ]
 
 
+INPUTS = {COMMAND: Inputs(tuple(FLIGHTS.values()))}
+
 if __name__ == "__main__":
-    write_tables(__doc__ or "", list(FLIGHTS.values()), text)
+    write_tables(__doc__ or "", INPUTS, {COMMAND: text})

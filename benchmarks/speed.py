@@ -20,14 +20,15 @@ from typing import Any
 
 from fleets import COUNTS, all_effects, vee
 from full_over_bare import Turn, flight_models, full, median, turn
+from inputs import Inputs
 from memory import memory
 from speed_tables import ALL_EFFECTS, FIGURE, MARK, SIMULATION, TARGETS, machine, picture, text
-from tables import insert
+from tables import add_output_arguments, draw, publish
 
 from testbed.scenario import Scenario, load_scenario, set_duration
-from testbed.views.matplotlib_backend import save_figure
 
 WARM_UP_S = 2.0
+INPUTS = {MARK: Inputs()}  # times depend on packages and machine, not on gains
 LONGEST_S = 1080.0  # what Simulation 3 lasts
 MEMORY_S = 60.0
 # Scenarios with a target take this many shorter turns per turn of the others: the speed of a shared
@@ -90,7 +91,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--work", type=float, default=600.0, help="aircraft-seconds of a flight")
     parser.add_argument("--counts", type=int, nargs="*", default=COUNTS)
     parser.add_argument("--json", type=Path)
-    parser.add_argument("--into", type=Path, help="a Markdown file with the two markers")
+    add_output_arguments(parser)
     options = parser.parse_args(arguments)
     if options.json:
         options.json.parent.mkdir(parents=True, exist_ok=True)
@@ -110,13 +111,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if options.counts:
         result["memory"] = memory(max(options.counts), MEMORY_S)
     lines = text(result)
-    print(lines)
     if options.json:
         options.json.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
-    if options.into:
-        save_figure(picture(result), FIGURE)
-        markdown = insert(options.into.read_text(encoding="utf-8"), lines, MARK)
-        options.into.write_text(markdown, encoding="utf-8")
+    draw(picture(result), FIGURE)
+    publish(options, {MARK: lines}, INPUTS)
 
 
 def _print_progress(line: str) -> None:

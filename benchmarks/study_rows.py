@@ -9,7 +9,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tables import insert
+from inputs import Inputs
+from tables import add_output_arguments, part_of, publish
 
 from testbed.core.errors import InputError
 from testbed.studies.sweep import sweep
@@ -44,6 +45,7 @@ def fly_rows(name: str, path: Path, jobs: int) -> tuple[list[Mapping[str, Any]],
 def write_tables(
     about: str,
     results: Path,
+    inputs: Mapping[str, Inputs],
     texts: Mapping[str, Callable[[Path, int], str]],
     arguments: Sequence[str] | None = None,
 ) -> None:
@@ -52,24 +54,21 @@ def write_tables(
     Args:
         about: docstring of the program.
         results: default folder of the Parquet files.
-        texts: functions of that folder and of the flights at a time, by the command in the markers
-            of their text; `--only` takes what follows its comma.
+        inputs: of each text, by what its markers name.
+        texts: functions of that folder and of the flights at a time, by the same; `--only` takes
+            what follows the comma.
         arguments: of the command line; None: those of the process.
     """
     parser = argparse.ArgumentParser(description=about.split("\n")[0])
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--out", type=Path, default=results, help="folder of the Parquet files")
-    parser.add_argument("--into", type=Path, help="a Markdown file with the markers")
-    parts = {mark.partition(", ")[2]: mark for mark in texts}
-    if len(texts) > 1:
-        parser.add_argument("--only", nargs="+", choices=tuple(parts), help="parts to write")
+    add_output_arguments(parser, inputs)
     options = parser.parse_args(arguments)
-    for mark in [parts[part] for part in getattr(options, "only", None) or parts]:
-        lines = texts[mark](options.out, options.jobs)
-        print(lines)
-        if options.into:
-            markdown = insert(options.into.read_text(encoding="utf-8"), lines, mark)
-            options.into.write_text(markdown, encoding="utf-8")
+    same = True
+    for mark, text in texts.items():
+        if part_of(mark) in options.only:
+            same &= publish(options, {mark: text(options.out, options.jobs)}, inputs)
+    sys.exit(0 if same else 1)
 
 
 def _report(text: str) -> None:

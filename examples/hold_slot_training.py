@@ -140,12 +140,16 @@ def draw(curve: Sequence[tuple[int, float]], means: Mapping[str, float], file: s
     axes.annotate(
         "policy, while it learns", (hours[1], errors[1]), (10.0, 4.0), textcoords="offset points"
     )
-    for name, colour in (("trim", "#d55e00"), ("paper's law", "#009e73")):
+    colours = {"trim": "#d55e00", "policy": "#0072b2", "paper's law": "#009e73"}
+    for (name, colour), at, side in zip(
+        colours.items(), (-1, 0, -1), ("right", "left", "right"), strict=True
+    ):
         axes.axhline(means[name], color=colour, dashes=(4, 3))
-        label = f"{name}, {means[name]:.1f} m"
+        text = f"{name}, learned" if name == "policy" else name
         axes.annotate(
-            label, (hours[-1], means[name]), (0.0, 5.0), textcoords="offset points", ha="right"
-        )
+            f"{text}, {means[name]:.1f} m", (hours[at], means[name]), (0.0, 5.0 if at else -14.0),
+            textcoords="offset points", ha=side,
+        )  # fmt: skip
     axes.set_title("A policy learns to hold a slot", loc="left", weight="bold")
     axes.set(xlabel="simulated flight, h", ylabel="mean distance from the slot, m", yscale="log")
     ticks = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0)

@@ -8,7 +8,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
-from tables import COMMAND, MARKS_TEXT, Case, Metrics, mark, row, versions, write_tables
+from inputs import Case, Inputs
+from tables import COMMAND, MARKS_TEXT, Metrics, mark, row, versions, write_tables
 
 MARK = f"{COMMAND}, freedoms"
 SIMULATIONS = (1, 2, 3)
@@ -160,6 +161,11 @@ def text(flown: Mapping[Case, Metrics]) -> list[str]:
     return [*lines(), "", MARKS_TEXT, "", heading, "", *smaller(flown), "", notes]
 
 
+INPUTS = {
+    MARK: Inputs(
+        tuple(case(number, overrides) for *_, overrides in FREEDOMS for number in SIMULATIONS)
+    )
+}
+
 if __name__ == "__main__":
-    cases = [case(number, overrides) for *_, overrides in FREEDOMS for number in SIMULATIONS]
-    write_tables(__doc__ or "", cases, text, MARK)
+    write_tables(__doc__ or "", INPUTS, {MARK: text})

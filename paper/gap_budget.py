@@ -14,12 +14,12 @@ from pathlib import Path
 
 import joint_fit
 import numpy as np
+from inputs import Inputs
 from study_rows import Rows, fly, fly_rows, write_tables
-from tables import row
+from tables import draw, row
 
 from testbed.core.records import Array
 from testbed.scenario import Scenario, library, load_scenario
-from testbed.views.matplotlib_backend import save_figure
 from testbed.views.panels import BLUE, GREY, ORANGE, Line, Panel, PanelGrid
 
 FIGURE = Path(__file__).parent / "images" / "gap-budget.png"
@@ -389,7 +389,7 @@ def budget_text(folder: Path, jobs: int) -> str:
     """Return the tables of the budget as text, and draw its figure."""
     flown = [f"gap-budget-{number}" for number in BUDGETS]
     studies, versions = flown_studies(folder, jobs, flown)
-    save_figure(figure(studies), FIGURE)
+    draw(figure(studies), FIGURE)
     drawn = sorted({seed for n in BUDGETS for seed in seeds(studies[f"gap-budget-{n}"])})
     names = f"seeds {drawn[0]} to {drawn[-1]}" if len(drawn) > 1 else f"seed {drawn[0]}"
     spread = "Mean and standard deviation over the seeds." if len(drawn) > 1 else f"S{names[1:]}."
@@ -417,6 +417,14 @@ PARTS = {
     "make gap, airframe": airframe_text,
     "make gap, budget": budget_text,
 }
+BUDGET_STUDIES = tuple(f"gap-budget-{number}" for number in BUDGETS)
+INPUTS = {
+    "make gap, joint-fit": Inputs(studies=(joint_fit.STUDY,)),
+    "make gap, table-2": Inputs(studies=(TABLE_2,)),
+    "make gap, turn-direction": Inputs(studies=(TABLE_2, MIRRORED)),
+    "make gap, airframe": Inputs(studies=(REFERENCE,)),
+    "make gap, budget": Inputs(studies=BUDGET_STUDIES),
+}
 
 if __name__ == "__main__":
-    write_tables(__doc__ or "", RESULTS, PARTS)
+    write_tables(__doc__ or "", RESULTS, INPUTS, PARTS)

@@ -14,11 +14,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tables import row
+from tables import draw, row
 
 from testbed.core.records import Array
 from testbed.scenario import Scenario
-from testbed.views.matplotlib_backend import save_figure
 from testbed.views.panels import Heatmap, Panel, PanelGrid
 
 STUDY = "joint-fit"
@@ -214,7 +213,7 @@ def figure(found: Fit) -> PanelGrid:
 
 def text(found: Fit, chosen: Array, tolerance: float) -> str:
     """Return the tables as text, and draw the figure."""
-    save_figure(figure(found), FIGURE)
+    draw(figure(found), FIGURE)
     grid = np.array(list(itertools.product(DELAYS, LATENCIES, WINDS, CHARGES)))
     worst = found.worst(grid)
     best, good = grid[worst.argmin()], worst <= tolerance

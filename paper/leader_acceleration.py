@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from inputs import Case, Inputs
 from study_rows import fly_rows, numbers, write_tables
 from tables import COMMAND, row
 
@@ -24,6 +25,7 @@ RESULTS = Path("logs") / "studies" / "leader-acceleration"
 SOURCES, TURNS = "leader-acceleration", "leader-turn-acceleration"
 LAPS, FIT, AUTHORS = "table-1-laps", "table-1", "table-1-authors"
 CAUSES, AGES = "table-1-causes", "table-1-ages"
+STUDIES = (SOURCES, TURNS, LAPS, FIT, CAUSES, AGES, AUTHORS)
 SIMULATIONS = (1, 2, 3)
 WINDOWS = ("rectangles", "circles")
 FOLLOWERS = ("uav1", "uav2", "uav3")
@@ -302,8 +304,7 @@ def ridge_table(rows: Sequence[Mapping[str, Any]], printed: Mapping[int, Cells])
 
 def text(folder: Path, jobs: int) -> str:
     """Fly missing runs and return all tables as text."""
-    names = (SOURCES, TURNS, LAPS, FIT, CAUSES, AGES, AUTHORS)
-    studies = {name: fly_rows(name, folder / f"{name}.parquet", jobs) for name in names}
+    studies = {name: fly_rows(name, folder / f"{name}.parquet", jobs) for name in STUDIES}
     rows = {name: each for name, (each, _) in studies.items()}
     flown, printed = by_set_up([*rows[SOURCES], *rows[TURNS]]), published_cells()
     return "\n".join(
@@ -329,5 +330,7 @@ def text(folder: Path, jobs: int) -> str:
     )
 
 
+INPUTS = {COMMAND: Inputs(tuple(Case(f"simulation-{number}") for number in SIMULATIONS), STUDIES)}
+
 if __name__ == "__main__":
-    write_tables(__doc__ or "", RESULTS, {COMMAND: text})
+    write_tables(__doc__ or "", RESULTS, INPUTS, {COMMAND: text})

@@ -2,11 +2,12 @@
 
 usage: python release/make_release.py [--tag vX.Y.Z] [--no-flight]
 
-Wheel and sdist are built twice from the last commit, in different environments, and must be the
-same to the bit. The wheel is installed by pip into two new environments, with the hashes of the
-lock files: without extras, where `flight.py` flies it from an empty directory, and with all. dist/
-also gets the pins of both (NAME-VERSION.lock and NAME-VERSION-all.lock), the bill of materials of
-the second (.cdx.json), and SHA256SUMS.
+Tables and pictures of the docs must not be older than one of their inputs. Wheel and sdist are
+built twice from the last commit, in different environments, and must be the same to the bit. The
+wheel is installed by pip into two new environments, with the hashes of the lock files: without
+extras, where `flight.py` flies it from an empty directory, and with all. dist/ also gets the pins
+of both (NAME-VERSION.lock and NAME-VERSION-all.lock), the bill of materials of the second
+(.cdx.json), and SHA256SUMS.
 """
 
 from __future__ import annotations
@@ -88,6 +89,7 @@ def make(place: Path, tag: str | None, *, flight: bool) -> None:
             raise UnfitError(f"not committed: {', '.join(each[3:] for each in changed)}")
         print("Built from the last commit, without later changes", file=sys.stderr)
     epoch_s = int(git("log", "-1", "--format=%ct"))
+    check_numbers()
     sdist, wheel = built(place, epoch_s)
     version = version_of(wheel)
     files = committed()
@@ -110,6 +112,13 @@ def make(place: Path, tag: str | None, *, flight: bool) -> None:
     sums = "".join(f"{sha256(path)}  {path.name}\n" for path in made)
     (DIST / "SHA256SUMS").write_text(sums, encoding="utf-8")
     print(sums, end="")
+
+
+def check_numbers(script: Path = ROOT / "benchmarks" / "stale.py") -> None:
+    """Refuse tables and pictures of the docs that are older than one of their inputs."""
+    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True)
+    if done.returncode:
+        raise UnfitError(f"{done.stdout}{done.stderr}".strip())
 
 
 def write_lock(path: Path, wheel: Path, extras: Iterable[str]) -> Path:

@@ -85,7 +85,10 @@ def head_html(run: RunData) -> str:
             " samples in the log.</p>"
         )
     if run.scenario and run.scenario.scenario.expectation:
-        out.append(f"<p>Expected: {escape(run.scenario.scenario.expectation)}</p>")
+        ended = metrics["simulated_s"] < info.duration_s - 0.5 / run.scenario.rates.log_hz
+        of = f"of the whole flight of {info.duration_s:g} s" if ended else ""
+        text = escape(run.scenario.scenario.expectation)
+        out.append(f"<p>{' '.join(filter(None, ('Expected', of)))}: {text}</p>")
     out.append(cards_html(_cards(run)))
     return "".join(out)
 

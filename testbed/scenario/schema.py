@@ -51,7 +51,7 @@ def set_duration(scenario: Scenario, duration_s: float) -> Scenario:
     A window that has begun by then ends with the run; windows and faults that begin later are
     dropped, and bounds of these windows. Where no window remains of some, the second half of the
     flight is one, `second_half`, so that every flight has its errors. Published numbers remain for
-    complete windows only.
+    complete windows only, and the expectation, which is of the whole flight, for no shorter one.
 
     Args:
         scenario: which stays as it is.
@@ -65,6 +65,8 @@ def set_duration(scenario: Scenario, duration_s: float) -> Scenario:
     header, begin = data["scenario"], scenario.scenario.begin
     windows = scenario.scenario.windows
     complete = {name for name, (_, end) in windows.items() if end <= duration_s}
+    if duration_s < header["duration_s"]:
+        header["expectation"] = ""
     header["duration_s"] = duration_s
     header["windows"] = {
         name: (start, min(end, duration_s))

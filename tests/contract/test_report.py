@@ -41,6 +41,7 @@ from testbed.reports.plot_selection import (
     percentiles,
     select_followers,
 )
+from testbed.scenario.arguments import with_changes
 
 ALWAYS = {"trajectory", "altitude", "commands"}
 FOLLOWED = ALWAYS | {"corner", "relative", "relative-ned", "error", "speed", "barrier"}
@@ -273,6 +274,17 @@ def test_killed_run_has_computed_metrics(flown, tmp_path, only):
     text = render_page(run_page(run))
     assert "covered: " in text and ("<br>ratio<" in text) is any(flown_to_the_end)
     assert "incomplete, not compared" in text.lower()
+
+
+def test_expectation_is_of_the_whole_flight(flown):
+    """It is left out of a flight with a shorter duration, and named so where a flight ended."""
+    cut = read_run(flown)
+    assert "Expected" not in head_html(cut)
+    header = with_changes(cut.scenario.scenario, expectation="At most 1 m.")
+    whole = replace(cut, scenario=with_changes(cut.scenario, scenario=header))
+    assert "<p>Expected: At most 1 m.</p>" in head_html(whole)
+    ended = replace(whole, metrics={**whole.metrics, "simulated_s": 11.0})
+    assert "<p>Expected of the whole flight of 12 s: At most 1 m.</p>" in head_html(ended)
 
 
 def test_problems_are_marked_in_words(tmp_path, only):

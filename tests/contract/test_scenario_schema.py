@@ -247,6 +247,7 @@ def test_set_duration_drops_what_begins_later():
     short = set_duration(load_scenario(FOLDER / "everything.yaml"), 14.0)
     assert short.scenario.duration_s == 14.0
     assert short.scenario.windows == {"straight": (5.0, 10.0), "turn": (12.5, 14.0)}
+    assert short.scenario.question and not short.scenario.expectation
     assert set(short.scenario.published.rms_m) == {"straight"}
     assert [fault.at_s for fault in short.leader.faults] == [2.0, 3.0, 8.0, 12.0]
     assert [fault.at_s for fault in short.fleet[0].faults] == [4.0, 9.0, 10.0, 11.0]
@@ -254,6 +255,14 @@ def test_set_duration_drops_what_begins_later():
     assert shorter.scenario.windows == {"second_half": (2.5, 5.0)}
     assert shorter.scenario.published.mean_rms_m == {}
     assert loads(dump(shorter)) == shorter
+
+
+def test_expectation_is_of_the_whole_flight():
+    whole = load_scenario("simulation-3")
+    assert whole.scenario.expectation
+    for duration_s in (1080.0, 1200.0):
+        assert set_duration(whole, duration_s).scenario.expectation == whole.scenario.expectation
+    assert not set_duration(whole, 1079.0).scenario.expectation
 
 
 @pytest.mark.parametrize(
