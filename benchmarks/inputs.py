@@ -20,7 +20,7 @@ from typing import Any
 from testbed.scenario import Scenario, find_tuning, load_scenario
 from testbed.scenario.yaml_io import plain, read
 from testbed.studies.plan import Plan, load_study
-from testbed.studies.scenario_snapshot import read_inputs
+from testbed.studies.scenario_snapshot import read_inputs, snapshot
 
 ROOT = Path(__file__).resolve().parents[1]
 NUMERIC = ("jsbsim", "llvmlite", "numba", "numpy")  # packages that move numbers of flights
@@ -68,8 +68,8 @@ def digests(inputs: Inputs) -> dict[str, str]:
     for name, changes in by_scenario.items():
         base = snapshot_of(_loaded(name, ()))
         found[_short(name)] = _digest([base, *sorted(changes)])
-        for named in sorted({_naming(each) for each in changes}):
-            found |= _file_digests(_loaded(name, named))
+        for one in {_naming(each): each for each in sorted(changes)}.values():
+            found |= _file_digests(_loaded(name, one))
     for name in inputs.studies:
         study, files = _study_digests(name)
         found |= {f"study {_short(name)}": study} | files
@@ -82,7 +82,7 @@ def digests(inputs: Inputs) -> dict[str, str]:
 
 def snapshot_of(scenario: Scenario) -> Mapping[str, Any]:
     """Return the resolved scenario without what changes no number."""
-    return read_inputs(scenario, ROOT).scenario
+    return snapshot(scenario, ROOT)
 
 
 def files_of(scenario: Scenario) -> tuple[Mapping[str, str], Mapping[str, Any]]:

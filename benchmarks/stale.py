@@ -137,6 +137,12 @@ def _digests(inputs: Inputs) -> Mapping[str, str]:
     return digests(inputs)
 
 
+@cache
+def _written() -> Mapping[tuple[str, str], Source]:
+    """Return the script that writes each part of a page, by page and mark."""
+    return {(page, mark): each for each in SOURCES for page in each.pages for mark in each.inputs}
+
+
 def pages() -> Iterator[str]:
     """Yield all pages that may have markers."""
     for folder, pattern in (("docs", "**/*.md"), ("paper", "*.md"), ("aircraft", "*/*.md")):
@@ -150,9 +156,7 @@ def find_stale(of: Sequence[str] | None = None) -> list[Stale]:
     Args:
         of: pages; None: all.
     """
-    written = {
-        (page, mark): each for each in SOURCES for page in each.pages for mark in each.inputs
-    }
+    written = _written()
     found, seen = [], set()
     for page in pages() if of is None else of:
         for block in blocks((ROOT / page).read_text(encoding="utf-8")):
