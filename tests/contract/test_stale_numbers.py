@@ -87,7 +87,7 @@ def test_changed_gain_names_the_pages_that_use_it(stale, library):
     assert ["python", "benchmarks/faults.py", "--into", FAULTS, "--jobs", "2"] in commands
 
 
-def test_gain_of_another_profile_and_a_comment_name_no_page(stale, library):
+def test_unused_gain_and_comment_name_no_page(stale, library):
     gains = library / "aircraft" / PROFILE
     change(gains, "d: 0.14}", "d: 0.1485}")  # of `improved`
     change(library / "scenarios" / "engine-out-uav2.yaml", "# Simulation 3's", "# The simulation's")
@@ -119,7 +119,7 @@ def test_changed_pin_names_all_pages(stale, monkeypatch, tmp_path):
     assert all(each.reasons == (f"jsbsim {pinned} is now 9.9",) for each in found)
 
 
-def test_marker_of_no_script_and_missing_digests_are_named(stale, monkeypatch, tmp_path):
+def test_unknown_marker_and_missing_digests_are_named(stale, monkeypatch, tmp_path):
     page = tmp_path / "docs" / "faults.md"
     page.parent.mkdir()
     text = (ROOT / FAULTS).read_text(encoding="utf-8")
@@ -159,7 +159,7 @@ Flown with testbed 1.2.3, JSBSim 1.3.3.
 NEW = "| a | 1.23 |\n| b | 4.57 |\n\nFlown with testbed 1.3.0, JSBSim 1.3.3."
 
 
-def test_check_names_the_line_whose_digits_differ(stale):
+def test_check_names_a_line_that_differs(stale):
     tables = sys.modules["tables"]
     (block,) = tables.blocks(PAGE)
     assert sys.modules["inputs"].parse(block.comment) == {
