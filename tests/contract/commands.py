@@ -101,5 +101,7 @@ def call(arguments, *, cwd, columns, out, err):
         patch.chdir(cwd)
         patch.setenv("COLUMNS", str(columns))
         patch.setattr(sys, "argv", ["testbed", *map(str, arguments)])
+        # as the script of the same name; `python -m pytest` would have click print its own name
+        patch.setattr(sys.modules["__main__"], "__package__", None)
         main()
     return ending.value.code or 0

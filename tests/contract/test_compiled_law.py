@@ -15,9 +15,10 @@ import testbed
 from testbed.core.code_digest import UnknownValueError, code_digest
 from testbed.core.compile import cache_folder
 from testbed.core.errors import FlightError, InputError
-from testbed.core.records import NedOrigin
-from testbed.formation.compiled_law import CompiledLaw
+from testbed.core.records import AIRCRAFT, LINK, Inbox, NedOrigin, VehicleState, allocate
+from testbed.formation.compiled_law import CompiledLaw, give_inputs
 from testbed.formation.control_step import Hbh23Law
+from testbed.formation.hbh23 import NEIGHBOUR
 from testbed.logs.read import read_log
 from testbed.plan.control import build_control
 from testbed.plan.fleet import resolve
@@ -184,6 +185,44 @@ def test_kernel_with_memory_commands_fly_by_wire(tmp_path):
         one, two = (getattr(each.formation, name) for each in logs)
         np.testing.assert_allclose(one, two, rtol=0.0, atol=1e-15)
     assert np.ptp(ours.command.pitch[:, 1]) > 0.1 and (ours.formation.saturations & 2).any()
+
+
+def test_step_returns_the_memory_it_wrote(tmp_path, configured):
+    """So the checks before a flight step a law on from memories that it has written itself."""
+    name = write(tmp_path, "memory.flown_s += 0.04\n    memory.steps += 1")
+    law = build_law(name, {}, *configured)[0]
+    n = len(law.own.airspeed)
+    memory = law.start(law.own)
+    for count in (1, 2, 3):
+        _, memory = law.step(0.04 * count, law.own, law.inbox, memory)
+        assert memory["steps"].tolist() == [count] * n
+        assert memory["flown_s"] == pytest.approx([0.04 * count] * n, abs=1e-15)
+
+
+def test_law_that_fails_with_its_own_memory_is_refused(tmp_path, configured):
+    name = write(
+        tmp_path,
+        "memory.steps += 1\n    if memory.steps > 3:\n        raise ValueError('four steps')",
+    )
+    assert "four steps" in law_error(name, configured)
+
+
+def test_excluded_sender_gives_no_number():
+    """Every field of its message is NaN, and the numbers of the others are those of the links."""
+    n, aircraft = 2, 3
+    states, links = allocate(AIRCRAFT, aircraft), allocate(LINK, n, aircraft)
+    neighbours = allocate(NEIGHBOUR, n, aircraft)
+    for name in Inbox._fields:
+        links[name] = np.arange(1.0, 1.0 + links[name].size).reshape(links[name].shape)
+    neighbours["excluded"][1, 2] = True
+    own = VehicleState(*np.zeros((5, n, 3)), *np.zeros((2, n)))
+    inbox = Inbox(*np.zeros((2, n, aircraft)), *np.zeros((5, n, aircraft, 3)))
+    give_inputs(np.arange(n), states, links, neighbours, own, inbox)
+    received = np.ones((n, aircraft), dtype=bool)
+    received[1, 2] = False
+    for name, values in inbox._asdict().items():
+        assert np.isnan(values[1, 2]).all(), name
+        assert np.array_equal(values[received], links[name][received]), name
 
 
 PRINT_STATE = """

@@ -69,6 +69,21 @@ def test_default_desired_speed_bounds_follow_fact_1():
     assert law["speed_desired_max"] == pytest.approx(law["speed_max"] - margin, abs=1e-14)
 
 
+@pytest.mark.parametrize(
+    ("desired", "inside"),
+    [("[21, 24]", True), ("[19, 24]", False), ("[21, 26]", False), ("[24, 21]", False)],
+)
+def test_desired_speeds_lie_in_the_speed_bounds(desired, inside):
+    changes = ["formation.speed_mps=[20, 25]", f"formation.speed_desired_mps={desired}"]
+    if inside:
+        law = control_of(load_scenario("simulation-3", changes)).controllers["law"]
+        assert law["speed_desired_min"].tolist() == [21.0] * 3
+        assert law["speed_desired_max"].tolist() == [24.0] * 3
+    else:
+        with pytest.raises(ScenarioError, match="speed_desired_mps"):
+            load_scenario("simulation-3", changes)
+
+
 def test_controller_options_reach_the_law():
     law = law_of()
     assert law["from_timestamp"].all() and law["bounds_of_airspeed"].all()

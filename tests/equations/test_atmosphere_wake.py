@@ -340,6 +340,15 @@ def test_wake_masks_choose_sources_and_receivers():
     assert without[[0, 2]] == pytest.approx(level(make(2), *positions[::2])[0], abs=1e-15)
 
 
+def test_removed_aircraft_sheds_and_feels_no_wake():
+    positions = (0.0, 0.0, 0.0), (-10.0, 1.0, 0.2), (-20.0, -1.0, 0.0)
+    wakes = make(3)
+    wakes.remove(np.array([False, True, False]))
+    wind, roll = level(wakes, *positions)
+    assert not wind[1].any() and roll[1] == 0.0
+    assert wind[[0, 2]] == pytest.approx(level(make(2), *positions[::2])[0], abs=1e-15)
+
+
 def test_wake_mirrored_rolls_the_other_way():
     for offset in (0.3, 0.9, 2.0):
         one = level(make(), (0.0, 0.0, 0.0), (-8.0, offset, 0.1))

@@ -122,6 +122,20 @@ def test_newer_message_is_not_replaced_by_older():
     assert link.statistics["overtaken"].sum() == (~OWN).sum()
 
 
+def test_second_copy_does_not_renew_the_receipt():
+    """The age of a message counts from its first copy, whenever the second one arrives."""
+    jitter = {"distribution": "uniform", "spread_s": 0.04, "in_order": False}
+    link = radio(0.1, jitter=jitter, duplicate=1.0)
+    link.send(np.zeros(N), broadcast(0.0), None)
+    first, on_the_way = np.full((FOLLOWERS, N), np.nan), 0
+    for now in np.arange(0.0, 0.2, 0.001):
+        received = link.deliver(now).received_s
+        first = np.where(np.isnan(first), received, first)
+        assert np.array_equal(received, first, equal_nan=True)
+        on_the_way += np.isfinite(received[~OWN]).all() and link._counts[0] > 0
+    assert np.isfinite(first).all() and on_the_way > 0
+
+
 def test_simultaneous_messages_leave_the_newest():
     link = radio(losses=by_trace(0.12, 0.08, 0.04))
     for k in range(3):
