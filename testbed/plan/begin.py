@@ -9,6 +9,7 @@ from testbed.core.errors import InputError
 from testbed.core.records import Event
 from testbed.flight.loop import Flight
 from testbed.scenario import Scenario, load_scenario
+from testbed.scenario.arguments import with_changes
 from testbed.vehicle.fleet import FlightModels
 
 # Parts of a flight, by what their names in it contain.
@@ -79,7 +80,9 @@ def _flights(
 ) -> tuple[Flight, Flight]:
     """Return the flight of a scenario as it begins, and as it is at a time, s."""
     if not (_last and _last[0][:2] == (prior, at_s)):
-        before, after = fly(prior), fly(prior)
+        # from 0 s on: what changed in a flight that it begins with in turn counts, too
+        from_zero = with_changes(prior, scenario=with_changes(prior.scenario, begin=None))
+        before, after = fly(from_zero), fly(prior)
         if not after.fly_to(at_s):
             raise InputError(
                 f"scenario.begin.at_s: {prior.name} ends at {after.time_s:g} s: {after.ending} "

@@ -61,7 +61,7 @@ def build_law(
             compiled.
     """
     module_name, _, law_name = find_code(name).rpartition(":")
-    module, origin = _import(module_name, "controller.law")
+    module, origin = import_code(module_name, "controller.law")
     with user_code_errors(origin):  # attributes of modules and classes can be code, too
         found: Any = getattr(module, law_name, None)
         compiled = is_kernel(found)
@@ -179,7 +179,7 @@ def build_function(name: str, key: str) -> tuple[Callable[..., Array], str]:
         InputError: the module or function does not exist.
     """
     module_name, _, function_name = find_code(name).rpartition(":")
-    module, origin = _import(module_name, key)
+    module, origin = import_code(module_name, key)
     with user_code_errors(origin, "the module"):
         found: Any = getattr(module, function_name, None)
     if not callable(found):
@@ -277,8 +277,27 @@ def _read(path: Path) -> bytes:
     return read_bounded(path, error=InputError)
 
 
+_loaded: dict[str, set[str]] = {}  # modules that the first import of code has loaded, by its file
+
+
+def loaded_by(origin: str) -> Sequence[str]:
+    """Return the names of the modules that the imports of a file have loaded in this process."""
+    return sorted(_loaded.get(origin, ()))
+
+
+def import_code(name: str, key: str) -> tuple[ModuleType, str]:
+    """Import a file or an installed module for a key; return it with its path.
+
+    Raises:
+        InputError: it does not exist, or its import fails; the text begins with the key.
+    """
+    before = set(sys.modules)
+    module, origin = _import(name, key)
+    _loaded.setdefault(origin, set()).update(sys.modules.keys() - before)
+    return module, origin
+
+
 def _import(name: str, key: str) -> tuple[ModuleType, str]:
-    """Import a file or an installed module for a key; return it with its path."""
     what = "the law" if key == "controller.law" else "the module"
     if name.endswith(".py"):
         path = Path(name)

@@ -17,6 +17,7 @@ from testbed.scenario.fields import (
     Seconds,
     Section,
 )
+from testbed.scenario.reference_fields import DataReference
 
 _REFERENCE = "Height above the ground at the origin where the wind has speed_mps, m."
 _SHAPE = "ramp: rise to velocity_mps as half a cosine and stay; pulse: rise and fall back."
@@ -73,9 +74,8 @@ class Wind(Section):
     profile: Profile = Field(
         UniformProfile(kind="uniform"), description="Change of the speed with height."
     )
-    file: str | None = Field(
+    file: DataReference | None = Field(
         None,
-        min_length=1,
         description="CSV file of a recorded wind in place of speed_mps and from_deg: a path from "
         "this file, or a name in scenarios/data. Its first row is time 0.",
     )

@@ -33,6 +33,7 @@ from testbed.scenario.fields import (
     Speed,
     Whole,
 )
+from testbed.scenario.reference_fields import AircraftReference, DataReference, TuneReference
 from testbed.scenario.sensors import TRUTH, Sensors
 
 Timeout = Annotated[Seconds, Field(ge=SMALLEST, le=3600)]
@@ -222,8 +223,7 @@ class Replay(Section):
     """Recorded flight: the leader moves along a recorded trajectory."""
 
     kind: Literal["replay"] = Field(description="A recorded flight.")
-    file: str = Field(
-        min_length=1,
+    file: DataReference = Field(
         description="CSV file of the flight: a path from this file, or a name in scenarios/data.",
     )
 
@@ -337,8 +337,8 @@ class AircraftSection(Section):
     """Keys of every aircraft."""
 
     name: Name = Field(description="Name in logs, views, offsets and gains.")
-    aircraft: str = Field(
-        min_length=1, description="Airframe: a name in aircraft/, or the path of a folder."
+    aircraft: AircraftReference = Field(
+        description="Airframe: a name in aircraft/, or the path of a folder."
     )
     vehicle: Vehicle = Field(
         "jsbsim",
@@ -354,9 +354,8 @@ class AircraftSection(Section):
         description="Source of its commands: formation, the controller of this scenario (of a "
         "leader its path); or external, a program that sends MAVLink, or a map with that kind.",
     )
-    tune: str = Field(
+    tune: TuneReference = Field(
         "autopilot",
-        min_length=1,
         description="Autopilot parameters: <tune>.param of the airframe, or the path of a file.",
     )
     battery: Battery = Field(Battery(), description="Battery, if the airframe has one.")

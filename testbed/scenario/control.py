@@ -35,6 +35,7 @@ from testbed.scenario.fields import (
     is_number,
 )
 from testbed.scenario.middle_loop import EstimatorChanges, GainChanges
+from testbed.scenario.reference_fields import CODE, GainsReference
 
 
 def _law_name(value: str) -> str:
@@ -51,8 +52,8 @@ def _function_name(value: str) -> str:
     return value
 
 
-FunctionName = Annotated[str, Field(max_length=500), AfterValidator(_function_name)]
-LawName = Annotated[str, Field(max_length=500), AfterValidator(_law_name)]
+FunctionName = Annotated[str, Field(max_length=500), AfterValidator(_function_name), CODE]
+LawName = Annotated[str, Field(max_length=500), AfterValidator(_law_name), CODE]
 LawOption = str | int | float | bool | tuple[float, ...]
 
 
@@ -299,9 +300,8 @@ class Controller(Section):
         "tuned",
         description="Gains of the middle loop: a section of the airframe's middle_loop.yaml.",
     )
-    middle_loop: str | None = Field(
+    middle_loop: GainsReference | None = Field(
         None,
-        min_length=1,
         description="File in place of the airframe's middle_loop.yaml: a path from this file; for "
         "fleets of one airframe.",
     )

@@ -41,6 +41,8 @@ from testbed.scenario.yaml_io import (
 )
 
 _MAX_CHAIN = 20  # files that extend each other
+_BEGIN = ("scenario", "begin", "scenario")
+_MAX_BEGINS = 10  # flights that begin with each other; each is flown twice
 _NO_CHANGES: GainChanges = {}
 # settings with which published numbers remain those of this scenario
 _NEUTRAL = ("limits", "expect", "log")
@@ -57,10 +59,16 @@ class ScenarioFile:
     """A scenario file merged with those it extends, not yet checked.
 
     It can be resolved many times with different settings without being read again.
+
+    Args:
+        path: of the file.
+        tree: of all files together.
+        files: this one, and those that it extends.
     """
 
     path: Path
     tree: Node
+    files: tuple[Path, ...]
 
     def resolve(
         self, overrides: Sequence[str] = (), *, settings_folder: Path | None = None
@@ -96,7 +104,8 @@ def open_scenario(
     tree = read(path)
     if folder is not None and not _has_scenario_key(tree):
         raise error_at(FilePosition(str(name_or_path)), f"{path} {_FOREIGN}")
-    return ScenarioFile(path, _merged(_files(tree, (path,))))
+    trees, files = _files(tree, (path,))
+    return ScenarioFile(path, _merged(trees), files)
 
 
 def load_scenario(name_or_path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scenario:
@@ -163,7 +172,7 @@ def loads(
     Raises:
         ScenarioError: with every problem found, each with its place.
     """
-    tree = _merged(_files(parse(text, source, Path.cwd()), ()))
+    tree = _merged(_files(parse(text, source, Path.cwd()), ())[0])
     return _resolve(tree, overrides) if check_files else validate(expand_pattern(tree), Scenario)
 
 
@@ -291,6 +300,7 @@ def _resolve(tree: Node, overrides: Sequence[str], settings_folder: Path | None 
     try:
         scenario = resolve_references(validate(tree, Scenario), tree, settings_folder)
         _check_gains(scenario, tree)
+        _check_begin(scenario, tree)
     except ScenarioError as error:
         raise ScenarioError(merge_repeated(error.problems)) from None
     return _with_differences(scenario, unchanged, settings)
@@ -350,10 +360,51 @@ def _check_gains(scenario: Scenario, tree: Node) -> None:
         raise ScenarioError(problems)
 
 
-def _files(tree: Node, chain: tuple[Path, ...]) -> list[Node]:
-    """Read the files that a scenario extends; return all, this one first, without `extends`."""
+def _check_begin(scenario: Scenario, tree: Node) -> None:
+    """Check that the flights that a flight begins with, one after the other, come to an end.
+
+    Raises:
+        ScenarioError: one is named twice, there are too many, or a file cannot be read.
+    """
+    if scenario.scenario.begin is None:
+        return
+    here, at, _ = walk(tree, _BEGIN)
+    chain: list[Path] = []
+    name, folder = scenario.scenario.begin.scenario, here.folder
+    while True:
+        try:
+            prior = open_scenario(name, folder=folder)
+        except ScenarioError as error:
+            if not chain:
+                raise  # with its place
+            raise error_at(here.place, f"{chain[-1]} cannot begin: {error}", at) from None
+        seen = prior.path.resolve() in chain
+        chain.append(prior.path.resolve())
+        if seen:
+            names = " begins with ".join(each.name for each in chain)
+            text = f"never begins: {names} (remove scenario.begin of one of them)"
+            raise error_at(here.place, text, at)
+        if len(chain) > _MAX_BEGINS:
+            text = f"is a chain of more than {_MAX_BEGINS} scenarios (write a shorter one)"
+            raise error_at(here.place, text, at)
+        begin, _, missing = walk(prior.tree, _BEGIN)
+        if missing or not isinstance(begin.value, str):
+            return
+        name, folder = begin.value, begin.folder
+
+
+def _files(tree: Node, chain: tuple[Path, ...]) -> tuple[list[Node], tuple[Path, ...]]:
+    """Read the files that a scenario extends.
+
+    Args:
+        tree: of the scenario.
+        chain: files up to this one.
+
+    Returns:
+        The trees, this one first, without `extends`; and all files.
+    """
     if not isinstance(tree.value, dict) or "extends" not in tree.value:
-        return [tree]
+        return [tree], chain
     own = dict(tree.value)
     extends = own.pop("extends")
     top = replace(tree, value=own)
@@ -373,7 +424,8 @@ def _files(tree: Node, chain: tuple[Path, ...]) -> list[Node]:
     below = read(base)
     if not _has_scenario_key(below):
         raise error_at(extends.place, f"{base} {_FOREIGN}", ("extends",))
-    return [top, *_files(below, (*chain, base))]
+    trees, files = _files(below, (*chain, base))
+    return [top, *trees], files
 
 
 def _has_scenario_key(tree: Node) -> bool:

@@ -27,6 +27,7 @@ from testbed.scenario.fields import (
     ZeroOrUsable,
     is_number,
 )
+from testbed.scenario.reference_fields import DataReference
 
 Probability = Annotated[Number, Field(ge=0, le=1)]
 Correlation = Annotated[Number, Field(ge=0, lt=1)]
@@ -149,9 +150,8 @@ class Jitter(Section):
         0.0, description="Standard deviation; of uniform half the width, s. 0 is no jitter."
     )
     correlation: Correlation = Field(0.0, description=_CORRELATION)
-    file: str | None = Field(
+    file: DataReference | None = Field(
         None,
-        min_length=1,
         description="For empirical: CSV file with a column delay_s: a path from this file, or a "
         "name in scenarios/data.",
     )
@@ -230,8 +230,7 @@ class Shadowing(Section):
 class Trace(Section):
     """Measured trace, replayed by time of transmission and repeated."""
 
-    file: str = Field(
-        min_length=1,
+    file: DataReference = Field(
         description="CSV file with columns sent_s and received_s (empty: lost), and source and "
         "destination if it has several links; a path from this file, or a name in scenarios/data.",
     )

@@ -6,21 +6,18 @@ is that of a file there; no other folder is searched.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar, cast
 
 from testbed.core.errors import InputError
-from testbed.scenario.aircraft import Follower, Leader
-from testbed.scenario.arguments import with_changes
 from testbed.scenario.checks import check_air, check_sensor_rates
-from testbed.scenario.control import Agent, Formation
 from testbed.scenario.fields import KeyPath
-from testbed.scenario.network_checks import link_entries
 from testbed.scenario.problems import FilePosition, Problem, ScenarioError, did_you_mean
-from testbed.scenario.schema import Scenario
+from testbed.scenario.reference_fields import Reference, ReferenceKind, references
+from testbed.scenario.schema import FlightT, Scenario
 from testbed.scenario.single_aircraft import SingleAircraft
 from testbed.scenario.yaml_io import Node, error_at, walk
 
@@ -244,6 +241,46 @@ def data_reference(file: Path) -> str:
 _GAINS = "middle_loop.yaml"
 
 
+class _Finder(NamedTuple):
+    """How the files of one kind of reference are found, and named in a resolved scenario."""
+
+    find: Callable[..., Path]  # by text, from `folder`
+    name: Callable[[Path], str]
+
+
+def find_gains(file: str, *, folder: Path | None = None) -> Path:
+    """Return a file of gains, by its path (from `folder`, or here).
+
+    Raises:
+        ScenarioError: there is no such file.
+    """
+    found = absolute(file, folder)
+    if not is_file(found):
+        text = f"there is no file {found} (write the path of a file like an airframe's {_GAINS})"
+        raise error_at(FilePosition(str(found)), text)
+    return found
+
+
+# the tune of an aircraft and code are found with more than the text and a folder
+FINDERS: Mapping[ReferenceKind, _Finder] = {
+    "aircraft": _Finder(find_aircraft, aircraft_reference),
+    "scenario": _Finder(find_scenario, scenario_reference),
+    "data": _Finder(find_data, data_reference),
+    "gains": _Finder(find_gains, str),
+}
+
+
+def find_reference(reference: Reference) -> Path:
+    """Return the file or folder that a reference of a resolved scenario names, except of code.
+
+    Raises:
+        ScenarioError: it does not exist.
+    """
+    if reference.kind == "tune":
+        return find_tune(reference.aircraft, reference.name)
+    return FINDERS[reference.kind].find(reference.name)
+
+
 class _Resolver:
     """Finds files, and collects resolved values and problems."""
 
@@ -251,47 +288,44 @@ class _Resolver:
         self.tree, self._settings_folder = tree, settings_folder
         self.changes: list[tuple[KeyPath, str]] = []
         self.problems: list[Problem] = []
+        self._homes: dict[KeyPath, Path] = {}  # of the aircraft that were found, by section
 
-    def aircraft(self, loc: KeyPath, aircraft: Leader | Follower) -> None:
-        """Resolve the airframe and the autopilot parameters."""
-        with self.problems_at(*loc, "aircraft") as folders:
-            home = _first(folders, lambda each: find_aircraft(aircraft.aircraft, folder=each))
-            self.changes.append(((*loc, "aircraft"), aircraft_reference(home)))
-            with self.problems_at(*loc, "tune") as folders:
-                tune = _first(folders, lambda each: find_tune(home, aircraft.tune, folder=each))
-                self.changes.append(((*loc, "tune"), tune_reference(home, tune)))
+    def resolve(self, reference: Reference) -> None:
+        """Find what a reference names."""
+        section = reference.loc[:-1]
+        if reference.kind == "tune" and section not in self._homes:
+            return  # as its aircraft was not found
+        with self._problems_at(*reference.loc) as folders:
+            self.changes.append((reference.loc, self._find(reference, folders)))
 
-    def begin(self, loc: KeyPath, scenario: str) -> None:
-        """Resolve the scenario that a flight begins as."""
-        with self.problems_at(*loc) as folders:
-            found = _first(folders, lambda each: find_scenario(scenario, folder=each))
-            self.changes.append((loc, scenario_reference(found)))
+    def _find(self, reference: Reference, folders: tuple[Path, ...]) -> str:
+        """Return the name of what a reference names, or else its absolute path."""
+        loc, kind, name, _ = reference
+        if kind == "code":
+            return self._find_code(loc, name, folders)
+        if kind == "tune":
+            home = self._homes[loc[:-1]]
+            tune = _first(folders, lambda each: find_tune(home, name, folder=each))
+            return tune_reference(home, tune)
+        finder = FINDERS[kind]
+        found = _first(folders, lambda each: finder.find(name, folder=each))
+        if kind == "aircraft":
+            self._homes[loc[:-1]] = found
+        return finder.name(found)
 
-    def recording(self, loc: KeyPath, file: str) -> None:
-        """Resolve a data file."""
-        with self.problems_at(*loc) as folders:
-            found = _first(folders, lambda each: find_data(file, folder=each))
-            self.changes.append((loc, data_reference(found)))
-
-    def gains(self, loc: KeyPath, file: str) -> None:
-        """Resolve a file of gains."""
-        with self.problems_at(*loc) as folders:
-            self.changes.append((loc, str(_first(folders, lambda each: find_gains(file, each)))))
-
-    def code(self, loc: KeyPath, name: str) -> None:
-        """Resolve a user's own law or function."""
-        with self.problems_at(*loc) as folders:
-            # in a text or a setting, unlike in a file, the caller chooses the code
-            in_file = is_file(Path(walk(self.tree, loc)[0].place.source))
-            within = folders[0] if in_file else self._settings_folder
-            found = _first(folders, lambda each: _code_file(name, each, within), name)
-            file, _, object_name = found.rpartition(":")
-            if Path(file).parent == library() / "scenarios":
-                found = f"{Path(file).stem}:{object_name}"
-            self.changes.append((loc, found))
+    def _find_code(self, loc: KeyPath, name: str, folders: tuple[Path, ...]) -> str:
+        """Return the source of a user's own law or function."""
+        # in a text or a setting, unlike in a file, the caller chooses the code
+        in_file = is_file(Path(walk(self.tree, loc)[0].place.source))
+        within = folders[0] if in_file else self._settings_folder
+        found = _first(folders, lambda each: _code_file(name, each, within), name)
+        file, _, object_name = found.rpartition(":")
+        if Path(file).parent == library() / "scenarios":
+            return f"{Path(file).stem}:{object_name}"
+        return found
 
     @contextmanager
-    def problems_at(self, *loc: str | int) -> Iterator[tuple[Path, ...]]:
+    def _problems_at(self, *loc: str | int) -> Iterator[tuple[Path, ...]]:
         """Yield the bases of relative paths at a location, the place of the block's problems.
 
         The base is the folder of the file; of a setting in a study, its folder and then the working
@@ -337,19 +371,6 @@ def _code_file(name: str, folder: Path, within: Path | None) -> str | None:
     return None if found == name else found
 
 
-def find_gains(file: str, folder: Path | None = None) -> Path:
-    """Return a file of gains, by its path (from `folder`, or here).
-
-    Raises:
-        ScenarioError: there is no such file.
-    """
-    found = absolute(file, folder)
-    if not is_file(found):
-        text = f"there is no file {found} (write the path of a file like an airframe's {_GAINS})"
-        raise error_at(FilePosition(str(found)), text)
-    return found
-
-
 def resolve_references(
     scenario: Scenario, tree: Node, settings_folder: Path | None = None
 ) -> Scenario:
@@ -367,24 +388,8 @@ def resolve_references(
         ScenarioError: with every file that cannot be found.
     """
     resolver = _Resolver(tree, settings_folder)
-    resolver.aircraft(("leader",), scenario.leader)
-    for index, follower in enumerate(scenario.fleet):
-        resolver.aircraft(("fleet", index), follower)
-    if scenario.scenario.begin is not None:
-        resolver.begin(("scenario", "begin", "scenario"), scenario.scenario.begin.scenario)
-    if scenario.leader.path.kind == "replay":
-        resolver.recording(("leader", "path", "file"), scenario.leader.path.file)
-    if scenario.air.wind.file is not None:
-        resolver.recording(("air", "wind", "file"), scenario.air.wind.file)
-    for loc, link in link_entries(scenario.network):
-        if link.jitter is not None and link.jitter.file is not None:
-            resolver.recording((*loc, "jitter", "file"), link.jitter.file)
-        if link.trace is not None:
-            resolver.recording((*loc, "trace", "file"), link.trace.file)
-    if scenario.controller.middle_loop is not None:
-        resolver.gains(("controller", "middle_loop"), scenario.controller.middle_loop)
-    for loc, name in code_references(scenario):
-        resolver.code(loc, name)
+    for reference in references(scenario):
+        resolver.resolve(reference)
     if resolver.problems:
         raise ScenarioError(resolver.problems)
     return with_values(scenario, resolver.changes)
@@ -402,17 +407,18 @@ def resolve_single_aircraft(flight: SingleAircraft) -> SingleAircraft:
         *check_air(flight.air),
     ):
         raise InputError(f"{'.'.join(map(str, path))}: {text}")
-    only, air = flight.only, flight.air
-    with _named("aircraft"):
-        home = find_aircraft(only.aircraft)
-    with _named("tune"):
-        tune = find_tune(home, only.tune)
-    if air.wind.file is not None:
-        with _named("air.wind.file"):
-            file = data_reference(find_data(air.wind.file))
-        air = with_changes(air, wind=with_changes(air.wind, file=file))
-    only = with_changes(only, aircraft=aircraft_reference(home), tune=tune_reference(home, tune))
-    return with_changes(flight, only=only, air=air)
+    changes: list[tuple[KeyPath, str]] = []
+    home = Path()
+    for reference in references(flight):
+        loc, kind, name, _ = reference
+        with _named(".".join(map(str, loc[1:] if loc[0] == "only" else loc))):
+            if kind == "tune":
+                changes.append((loc, tune_reference(home, find_tune(home, name))))
+                continue
+            found = FINDERS[kind].find(name)
+        home = found if kind == "aircraft" else home
+        changes.append((loc, FINDERS[kind].name(found)))
+    return with_values(flight, changes)
 
 
 @contextmanager
@@ -426,28 +432,17 @@ def _named(argument: str) -> Iterator[None]:
 
 def code_references(scenario: Scenario) -> Iterator[tuple[KeyPath, str]]:
     """Yield the key paths and names of a scenario's own laws and functions."""
-    if scenario.controller.law != "hbh23":
-        yield ("controller", "law"), scenario.controller.law
-    places: list[tuple[KeyPath, Formation | Agent]] = [(("formation",), scenario.formation)]
-    places += [
-        (("formation", "agents", name), agent) for name, agent in scenario.formation.agents.items()
-    ]
-    for loc, section in places:
-        for key in ("control_function", "barrier"):
-            own = getattr(section, key)
-            if own is not None and own.example == "own":
-                yield (*loc, key, "function"), own.function
-        if section.speed_model is not None:
-            for key in ("f", "g"):
-                yield (*loc, "speed_model", key), getattr(section.speed_model, key)
+    for reference in references(scenario):
+        if reference.kind == "code":
+            yield reference.loc, reference.name
 
 
-def with_values(scenario: Scenario, changes: Iterable[tuple[KeyPath, str]]) -> Scenario:
+def with_values(scenario: FlightT, changes: Iterable[tuple[KeyPath, str]]) -> FlightT:
     """Return a scenario with other texts at these keys."""
     data = scenario.model_dump(by_alias=True)
     for loc, value in changes:
         _put(data, loc, value)
-    return Scenario.model_validate(data)
+    return cast(FlightT, type(scenario).model_validate(data))
 
 
 def _put(data: Any, loc: KeyPath, value: str) -> None:  # noqa: ANN401 - nested plain data

@@ -28,6 +28,7 @@ from testbed.scenario.fields import (
     Whole,
 )
 from testbed.scenario.network import Network, Window
+from testbed.scenario.reference_fields import ScenarioReference
 
 Distance = Annotated[Length, Field(ge=SMALLEST)]
 
@@ -78,7 +79,7 @@ class Published(Section):
 class Begin(Section):
     """Another flight that this one begins with."""
 
-    scenario: str = Field(min_length=1, description="Name or path of its scenario.")
+    scenario: ScenarioReference = Field(description="Name or path of its scenario.")
     at_s: Seconds = Field(ge=SMALLEST, le=MAX_DURATION_S, description="Time of both flights, s.")
 
 

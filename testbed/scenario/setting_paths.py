@@ -2,24 +2,16 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from testbed.scenario.problems import ScenarioError
-from testbed.scenario.references import (
-    aircraft_reference,
-    data_reference,
-    find_aircraft,
-    find_code,
-    find_data,
-    find_gains,
-    find_scenario,
-    is_file,
-    library,
-    scenario_reference,
-)
+from testbed.scenario.reference_fields import ReferenceKind, kinds_of_keys
+from testbed.scenario.references import FINDERS, find_code, is_file, library
+from testbed.scenario.schema import Scenario
 from testbed.scenario.yaml_io import parse, plain, to_inline
 
 
@@ -35,7 +27,7 @@ def setting_from_here(text: str, folder: Path, here: Path) -> str:
     """
     key, _, value = text.partition("=")
     last = key.rpartition(".")[2]
-    if last not in _MOVERS and "{" not in value and "[" not in value:
+    if last not in _movers() and "{" not in value and "[" not in value:
         return text  # most settings are numbers
     try:
         before = plain(parse(value, text, folder))
@@ -50,10 +42,10 @@ def _moved(key: str, value: Any, folder: Path, here: Path) -> Any:  # noqa: ANN4
         return {name: _moved(str(name), each, folder, here) for name, each in value.items()}
     if isinstance(value, list | tuple):
         return [_moved(key, each, folder, here) for each in value]
-    if not isinstance(value, str) or key not in _MOVERS:
+    if not isinstance(value, str) or key not in _movers():
         return value
     with suppress(ScenarioError):
-        return _MOVERS[key](value, folder, here)
+        return _movers()[key](value, folder, here)
     return value
 
 
@@ -79,27 +71,14 @@ def _tune(name: str, folder: Path, here: Path) -> str:
     return _short(str(path), name, here) if name.endswith(".param") and is_file(path) else name
 
 
-def _aircraft(name: str, folder: Path, here: Path) -> str:
-    return _short(aircraft_reference(find_aircraft(name, folder=folder)), name, here)
+def _file(kind: ReferenceKind, name: str, folder: Path, here: Path) -> str:
+    finder = FINDERS[kind]
+    return _short(finder.name(finder.find(name, folder=folder)), name, here)
 
 
-def _data(name: str, folder: Path, here: Path) -> str:
-    return _short(data_reference(find_data(name, folder=folder)), name, here)
-
-
-def _gains(name: str, folder: Path, here: Path) -> str:
-    return _short(str(find_gains(name, folder)), name, here)
-
-
-def _scenario(name: str, folder: Path, here: Path) -> str:
-    return _short(scenario_reference(find_scenario(name, folder=folder)), name, here)
-
-
-_MOVERS: Mapping[str, Callable[[str, Path, Path], str]] = {
-    **dict.fromkeys(("law", "function", "f", "g"), _code),
-    "aircraft": _aircraft,
-    "tune": _tune,
-    "file": _data,
-    "middle_loop": _gains,
-    "scenario": _scenario,
-}
+@functools.cache
+def _movers() -> Mapping[str, Callable[[str, Path, Path], str]]:
+    """Return what moves a reference, by the last key of a setting."""
+    own = {"code": _code, "tune": _tune}
+    kinds = kinds_of_keys(Scenario)
+    return {key: own.get(kind, functools.partial(_file, kind)) for key, kind in kinds.items()}

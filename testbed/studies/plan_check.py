@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -15,6 +15,8 @@ from testbed.scenario.yaml_io import walk
 from testbed.studies.journal import flatten_metrics
 from testbed.studies.plan import Plan, Study, StudyRun
 from testbed.studies.predicted_numbers import predicted_names
+from testbed.studies.scenario_snapshot import Referent, referents
+from testbed.studies.study_schema import Value
 
 MAX_CHECKED = 2_000  # scenarios read before a study is flown; each takes some milliseconds
 MAX_NAMED = 6  # names in an error
@@ -28,12 +30,14 @@ class CheckedPlan:
     Args:
         scenarios: for each case its scenario without the keys that vary, or if that cannot be
             flown the one of the first point that can.
+        referents: what these, and all others that were read, name.
         checked: number of scenarios read.
         invalid: number of them that cannot be flown.
         example: why, for the first.
     """
 
     scenarios: Mapping[str, Scenario]
+    referents: Collection[Referent]
     checked: int
     invalid: int
     example: str
@@ -43,10 +47,11 @@ def check_plan(plan: Plan) -> CheckedPlan:
     """Read the scenarios of a study before any is flown.
 
     Of more than `MAX_CHECKED`, so many that every level of every key is read in every case, and of
-    drawn points the first ones; of more cases than that, one each. A level
-    or a case that cannot be flown is an error. So is a drawn value only if no point of its case can
-    be flown; otherwise the row of the run has the error. A law or function of the user's that
-    cannot be built, and a metric that no run has, are errors.
+    drawn points the first ones, and those with words that these do not have: a word may name a
+    file. Of more cases than that, one each. A level or a case that cannot be flown is an error. So
+    is a drawn value only if no point of its case can be flown; otherwise the row of the run has the
+    error. A law or function of the user's that cannot be built, and a metric that no run has, are
+    errors.
 
     Raises:
         ScenarioError: with the place in the study file.
@@ -54,6 +59,7 @@ def check_plan(plan: Plan) -> CheckedPlan:
     """
     drawn = any(values.is_distribution for values in plan.study.config.vary.values())
     scenarios: dict[str, Scenario] = {}
+    named: dict[Referent, None] = {}
     flown = FlownScenarios(plan)
     checked = invalid = 0
     example = ""
@@ -73,16 +79,18 @@ def check_plan(plan: Plan) -> CheckedPlan:
             else:
                 scenarios.setdefault(case, scenario)
                 flown.add(run, scenario)
+                named |= referents(scenario)
         if case not in scenarios:
             assert first is not None
             raise first
         with suppress(ScenarioError):
             scenarios[case] = plan.case_scenario(index)
+            named |= referents(scenarios[case])
     settings = plan.study.config.study
     metrics = [(("study", "metrics", k), name) for k, name in enumerate(settings.metrics)]
     flown.check_metrics([*metrics, *settings.deciding_metrics])
     flown.check_code()
-    return CheckedPlan(scenarios, checked, invalid, example)
+    return CheckedPlan(scenarios, tuple(named), checked, invalid, example)
 
 
 class FlownScenarios:
@@ -185,7 +193,14 @@ def _points_to_check(plan: Plan) -> Iterator[int]:
         yield from range(plan.point_count)
         return
     if plan.study.config.study.samples:
-        yield from range(limit)
+        seen: set[tuple[str, Value]] = set()
+        levels = [values.choice or () for values in plan.study.config.vary.values()]
+        words = any(isinstance(each, str) for choice in levels for each in choice)
+        for point in range(plan.point_count if words else limit):
+            new = {each for each in plan.point(point).items() if isinstance(each[1], str)} - seen
+            seen |= new
+            if point < limit or new:
+                yield point
         return
     counts = [values.level_count for values in plan.study.config.vary.values()]
     for row in range(max(counts)):  # the next level of each key

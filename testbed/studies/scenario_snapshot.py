@@ -5,22 +5,25 @@ from __future__ import annotations
 import base64
 import hashlib
 import os
-from collections.abc import Container, Mapping
+from collections.abc import Container, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from testbed.autopilot.param_file import read_param_file
 from testbed.core.errors import InputError
 from testbed.core.input_files import MAX_TABLE_BYTES, read_bounded
-from testbed.scenario import Scenario, code_references, find_aircraft, find_code, find_data
+from testbed.plan.code_files import code_files
+from testbed.scenario import Scenario, open_scenario
+from testbed.scenario.reference_fields import Reference, ReferenceKind, references
+from testbed.scenario.references import find_reference
 from testbed.scenario.yaml_io import plain, read
 
 # keys of `scenario` that change no number, and the seed, which is stored separately
 _LEFT_OUT = ("question", "expectation", "published", "name", "seed")
 _NO_NUMBERS = ("log", "expect")  # sections that change no number
-_SUFFIXES = (".xml", ".yaml", ".param", ".csv", ".py")
+_OF_AIRCRAFT = (".xml", ".yaml", ".param")  # what is read of an aircraft's folder
 _NAME, _VALUE = 5, 3  # characters of `key_digests`
 
 
@@ -41,11 +44,12 @@ def read_inputs(scenario: Scenario, folder: Path) -> Inputs:
         scenario: resolved.
         folder: of its file.
     """
+    files = referenced_files(referents(scenario))
     return Inputs(
         scenario=snapshot(scenario, folder),
         non_default=frozenset(_leaves(snapshot(scenario, folder, defaults=False))),
-        files=file_digests(scenario),
-        values=_file_values(scenario),
+        files=_digests(files),
+        values=_file_values(files),
     )
 
 
@@ -77,22 +81,112 @@ def _with_relative_paths(value: Any, folder: Path) -> Any:  # noqa: ANN401 - nes
     return value
 
 
-def file_digests(scenario: Scenario) -> dict[str, str]:
-    """Return short SHA-256 digests of the files a scenario uses: airframes, data, gains, code.
+class Referent(NamedTuple):
+    """What a reference of a resolved scenario names.
 
-    They explain a comparison that fails, and decide nothing. A file of an airframe is named from
-    the airframe's folder on: `skywalker_x8/Systems/battery.xml`.
+    Args:
+        kind: of the reference.
+        name: its text.
+        aircraft: of a tune: the aircraft that it is for; else empty.
     """
+
+    kind: ReferenceKind
+    name: str
+    aircraft: str
+
+
+def referents(scenario: Scenario) -> dict[Referent, None]:
+    """Return what a resolved scenario names, in order."""
+    return {Referent(*each[1:]): None for each in references(scenario)}
+
+
+def file_digests(named: Iterable[Referent]) -> dict[str, str]:
+    """Return short SHA-256 digests of all files that references name, by name of the file.
+
+    A file is named with its folder, one of an aircraft from the aircraft's folder on, as in
+    `skywalker_x8/Systems/battery.xml`; with more folders where two would have one name.
+
+    Raises:
+        InputError: a file cannot be read.
+    """
+    return _digests(referenced_files(named))
+
+
+def _digests(files: Mapping[str, Path]) -> dict[str, str]:
     return {
         name: hashlib.sha256(read_bounded(file, MAX_TABLE_BYTES)).hexdigest()[:12]
-        for name, file in _files(scenario).items()
+        for name, file in files.items()
     }
 
 
-def _file_values(scenario: Scenario) -> dict[str, Any]:
+def referenced_files(named: Iterable[Referent]) -> dict[str, Path]:
+    """Return the files whose content can change the numbers of a scenario, by name.
+
+    These are all that references name: of an aircraft those of its folder, of code those that it
+    imports, of a scenario its file, the files that it extends and all that it names in turn.
+
+    Args:
+        named: of `referents`.
+
+    Raises:
+        ScenarioError: a file does not exist, or a scenario that is named cannot be flown.
+    """
+    files: dict[Path, int] = {}  # with the length of its name, in parts of its path
+    queue = list(named)
+    seen = set(queue)
+    for referent in queue:
+        kind, name, aircraft = referent
+        if kind == "code":
+            files |= dict.fromkeys(code_files(name), 2)
+            continue
+        path = find_reference(Reference((), kind, name, aircraft))
+        if kind == "aircraft":
+            files |= _files_below(path)
+        elif kind == "scenario":
+            draft = open_scenario(path)
+            files |= dict.fromkeys(draft.files, 2)
+            new = [each for each in referents(draft.resolve()) if each not in seen]
+            queue += new
+            seen |= set(new)
+        else:
+            files.setdefault(path, 2)
+    return _named(files)
+
+
+def _named(files: Mapping[Path, int]) -> dict[str, Path]:
+    """Return files by their names, with as many folders as tell them apart."""
+    parts = dict(files)
+    while True:
+        named: dict[str, Path] = {}
+        alike: set[Path] = set()
+        for file, count in parts.items():
+            other = named.setdefault("/".join(file.parts[-count:]), file)
+            alike |= {file, other} if other != file else set()
+        if not alike:
+            return named
+        parts |= {file: parts[file] + 1 for file in alike}
+
+
+def _files_below(folder: Path) -> dict[Path, int]:
+    """Return the files of an aircraft's folder that can be read, without caches and hidden ones."""
+    found = {file: len(file.relative_to(folder).parts) for file in sorted(folder.rglob("*"))}
+    return {
+        file: 1 + depth
+        for file, depth in found.items()
+        if file.suffix in _OF_AIRCRAFT
+        and file.is_file()
+        and not any(_is_cache(part) for part in file.parts[-depth:])
+    }
+
+
+def _is_cache(part: str) -> bool:
+    return part.startswith(".") or part == "__pycache__"
+
+
+def _file_values(named: Mapping[str, Path]) -> dict[str, Any]:
     """Return the values in the YAML and .param files that can be read, by file."""
     values: dict[str, Any] = {}
-    for name, file in _files(scenario).items():
+    for name, file in named.items():
         with suppress(InputError):
             if file.suffix == ".yaml":
                 values[name] = plain(read(file))
@@ -100,40 +194,6 @@ def _file_values(scenario: Scenario) -> dict[str, Any]:
                 given = read_param_file(file).values
                 values[name] = {key: each.value for key, each in given.items()}
     return values
-
-
-def _files(scenario: Scenario) -> dict[str, Path]:
-    """Return the files whose content can change the numbers of a scenario, by name."""
-    names = [scenario.leader.aircraft, *(follower.aircraft for follower in scenario.fleet)]
-    files: dict[str, Path] = {}
-    for folder in dict.fromkeys(find_aircraft(name) for name in names):
-        files |= _files_below(folder)
-    others = []
-    if scenario.leader.path.kind == "replay":
-        others.append(find_data(scenario.leader.path.file))
-    if scenario.air.wind.file is not None:
-        others.append(find_data(scenario.air.wind.file))
-    if scenario.controller.middle_loop is not None:
-        others.append(Path(scenario.controller.middle_loop))
-    for _, name in code_references(scenario):
-        module, _, _ = find_code(name).rpartition(":")
-        others += [Path(module)] if module.endswith(".py") else []
-    files |= {f"{file.parent.name}/{file.name}": file for file in others}
-    return {name: file for name, file in files.items() if file.suffix in _SUFFIXES}
-
-
-def _files_below(folder: Path) -> dict[str, Path]:
-    """Return all files of a folder tree by name, without caches and hidden files."""
-    paths = {file.relative_to(folder): file for file in sorted(folder.rglob("*"))}
-    return {
-        f"{folder.name}/{name.as_posix()}": file
-        for name, file in paths.items()
-        if file.is_file() and not any(_is_cache(part) for part in name.parts)
-    }
-
-
-def _is_cache(part: str) -> bool:
-    return part.startswith(".") or part == "__pycache__"
 
 
 def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> tuple[str, ...]:

@@ -18,7 +18,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from testbed.core.compile import source_digest
 from testbed.core.errors import InputError
 from testbed.metrics.document import initial_warnings
 from testbed.metrics.expectations import bound_key, violations
@@ -33,11 +32,12 @@ from testbed.scenario.arguments import (
 )
 from testbed.scenario.problems import ScenarioError
 from testbed.studies.dask_workers import cluster_notices
+from testbed.studies.flight_code import flight_code
 from testbed.studies.flight_pool import FlightPool, open_flight_pool
 from testbed.studies.flight_task import COMPLETED, OUTCOMES, FlightResult, FlightTask
 from testbed.studies.journal import Journal, JournalRow, flatten_metrics
 from testbed.studies.plan import Plan, Study, load_study
-from testbed.studies.plan_check import check_plan
+from testbed.studies.plan_check import CheckedPlan, check_plan
 from testbed.studies.predicted_numbers import predict_numbers
 from testbed.studies.run_choice import RunChoice, choose_runs
 from testbed.studies.scenario_snapshot import differences, file_digests, snapshot
@@ -52,13 +52,6 @@ from testbed.studies.table import (
 REFRESH_S = 30.0  # between two writes of the result file while runs are flown, at least
 MAX_WRITE_SHARE = 0.02  # of the time, for these writes
 MAX_WARNINGS = 6  # kinds of warnings from before a flight that are reported
-# packages that a flight of a study imports: a change in any of their files can change its rows
-FLIGHT_PACKAGES = (
-    *("core", "atmosphere", "autopilot", "commands", "flight", "formation", "guidance", "logs"),
-    *("mavlink", "metrics", "network", "plan", "runs", "scenario", "sensors", "studies", "vehicle"),
-)
-PREDICTION_PACKAGES = ("trials",)  # and a prediction
-_PACKAGE = Path(__file__).parents[1]
 _LEFT_OUT = ("name", "question", "metrics")  # settings that change no row
 
 Progress = Callable[[int, int], None]
@@ -139,7 +132,7 @@ def sweep(
         report(f"warning: {unreached}")
     for line in plan.unchecked_bounds():
         report(f"warning: {line}")
-    inputs = _make_inputs(plan, checked.scenarios)
+    inputs = _make_inputs(plan, checked)
     report(
         f"{_describe_plan(plan)}; {_count(checked.checked, 'scenario')} read in "
         f"{time.monotonic() - start:.1f} s"
@@ -355,22 +348,20 @@ def _to_row(result: FlightResult, expected: Mapping[str, str]) -> JournalRow:
     return JournalRow(result.number, result.outcome, result.error, numbers, any_seed)
 
 
-def _make_inputs(plan: Plan, scenarios: Mapping[str, Scenario]) -> dict[str, Any]:
+def _make_inputs(plan: Plan, checked: CheckedPlan) -> dict[str, Any]:
     """Return the inputs of a study, which may not change before a resume."""
     config = plan.study.config.model_dump(mode="json", by_alias=True, exclude_none=True)
     config["study"] = {key: v for key, v in config["study"].items() if key not in _LEFT_OUT}
     folder = plan.study.path.resolve().parent
-    files: dict[str, str] = {}
-    for scenario in scenarios.values():
-        files |= file_digests(scenario)
-    packages = FLIGHT_PACKAGES + (() if plan.margins_at_deg is None else PREDICTION_PACKAGES)
+    scenarios = checked.scenarios
+    predictions = plan.margins_at_deg is not None
     inputs = {
         "study": config,
         "scenarios": {case: snapshot(scenario, folder) for case, scenario in scenarios.items()},
         "expect": {case: scenario.expect.model_dump() for case, scenario in scenarios.items()},
-        "files": files,
+        "files": file_digests(checked.referents),
         "versions": versions(),
-        "code": {"testbed": source_digest(_PACKAGE, packages)[:12]},
+        "code": {"testbed": flight_code(predictions=predictions)},
     }
     plain: dict[str, Any] = json.loads(json.dumps(inputs))
     return plain

@@ -32,6 +32,7 @@ from testbed.studies.scenario_snapshot import (
     file_digests,
     key_digests,
     read_inputs,
+    referents,
     scenario_differences,
 )
 
@@ -266,17 +267,17 @@ def test_file_digests_airframe_without_caches(tmp_path):
     shutil.copytree(find_aircraft("skywalker_x8"), x8)
     (x8 / "skywalker_x8.xml").rename(x8 / "x8.xml")
     chosen = samples.scenario(f"fleet.uav2.aircraft={x8}", "controller.profile=tuned")
-    before = file_digests(chosen)
+    before = file_digests(referents(chosen))
     assert {"x8/x8.xml", "x8/Engines/x8_motor.xml", "x8/Systems/battery.xml"} <= set(before)
     assert "rascal110/Engines/rascal110_motor.xml" in before
 
     for cache in ("__pycache__", ".cache"):
         (x8 / "Systems" / cache).mkdir()
         (x8 / "Systems" / cache / "battery.xml").write_text("<other/>")
-    assert file_digests(chosen) == before
+    assert file_digests(referents(chosen)) == before
     battery = x8 / "Systems" / "battery.xml"
     battery.write_bytes(battery.read_bytes() + b"\n")
-    after = file_digests(chosen)
+    after = file_digests(referents(chosen))
     assert after.keys() == before.keys()
     assert {name for name in after if after[name] != before[name]} == {"x8/Systems/battery.xml"}
 

@@ -154,6 +154,44 @@ def test_circular_extends_is_refused(tmp_path, monkeypatch):
     )
 
 
+def test_circular_begin_is_refused(tmp_path, monkeypatch):
+    """By `testbed validate` as before a flight; the remedy makes it valid."""
+    monkeypatch.chdir(tmp_path)
+
+    def begin(name, other):
+        begins = f"begin: {{scenario: {other}, at_s: 1}}" if other else ""
+        text = f"extends: simulation-3\nscenario:\n  name: {name}\n  {begins}\n"
+        write(tmp_path, f"{name}.yaml", text)
+
+    place, remedy = "yaml:4:21: scenario.begin.scenario: never begins:", "(remove scenario.begin"
+    begin("r", "r.yaml")
+    assert error_of(load_scenario, "r.yaml") == (
+        f"r.{place} r.yaml begins with r.yaml {remedy} of one of them)"
+    )
+    begin("p", "q.yaml")
+    begin("q", "p.yaml")
+    assert error_of(load_scenario, "p.yaml") == (
+        f"p.{place} q.yaml begins with p.yaml begins with q.yaml {remedy} of one of them)"
+    )
+    begin("q", None)
+    assert load_scenario("p.yaml").scenario.begin.scenario == str(tmp_path / "q.yaml")
+    setting = ["scenario.begin.scenario=q.yaml", "scenario.begin.at_s=2"]
+    assert load_scenario("q.yaml", setting).scenario.begin.at_s == 2  # not a circle
+
+
+def test_begins_are_a_chain_of_ten_at_most(tmp_path):
+    for number in range(12):
+        begin = f"begin: {{scenario: s{number - 1}.yaml, at_s: {number}}}" if number else ""
+        text = f"extends: simulation-3\nscenario:\n  name: s{number}\n  {begin}\n"
+        write(tmp_path, f"s{number}.yaml", text)
+    assert load_scenario(tmp_path / "s10.yaml").scenario.begin
+    assert "is a chain of more than 10 scenarios" in error_of(load_scenario, tmp_path / "s11.yaml")
+    (tmp_path / "s3.yaml").unlink()
+    text = error_of(load_scenario, tmp_path / "s5.yaml")
+    assert text.startswith(f"{tmp_path}/s5.yaml:4:21: scenario.begin.scenario: ")
+    assert f"s4.yaml cannot begin: s3.yaml: there is no file {tmp_path}/s3.yaml" in text
+
+
 def test_unknown_base_is_refused_at_its_place():
     text = error_of(loads, "extends: simulation-33", source="case.yaml")
     assert text.startswith("case.yaml:1:10: extends: there is no scenario 'simulation-33': did you")

@@ -232,7 +232,7 @@ def test_resume_changed_code_is_refused(workers, tmp_path, monkeypatch):
     part, whole = tmp_path / "part.parquet", tmp_path / "whole.parquet"
     interrupt(part, 1)
     sweep("small.yaml", whole)
-    monkeypatch.setattr("testbed.studies.sweep.source_digest", lambda *_: "0123456789abcdef")
+    monkeypatch.setattr("testbed.studies.flight_code.source_digest", lambda *_: "0123456789abcdef")
     for out in (part, whole):
         with pytest.raises(InputError, match=r"the code changed.*testbed from \w+ to 0123456789ab"):
             sweep("small.yaml", out, resume=True)
@@ -241,11 +241,11 @@ def test_resume_changed_code_is_refused(workers, tmp_path, monkeypatch):
 def test_flight_packages_are_all_that_are_imported():
     """A resumed study compares the code of every package that its flights import."""
     program = (
-        "import sys, testbed, testbed.studies.sweep as sweep\n"
+        "import sys, testbed, testbed.studies.flight_code as code\n"
         "scenario = testbed.scenario.load_scenario('ideal-figure-eight')\n"
         "testbed.run(testbed.scenario.set_duration(scenario, 1.0), write=False)\n"
         "names = {each.split('.')[1] for each in sys.modules if each.startswith('testbed.')}\n"
-        "print(sorted(names ^ set(sweep.FLIGHT_PACKAGES)))"
+        "print(sorted(names ^ set(code.FLIGHT_PACKAGES)))"
     )
     done = subprocess.run((sys.executable, "-c", program), capture_output=True, check=True)
     assert done.stdout.decode().strip() == "[]", done.stdout
