@@ -121,6 +121,14 @@ def check_command(
         str | None,
         typer.Option(metavar="TEXT", help="Why the numbers change; stored in the tables."),
     ] = None,
+    ignore_bounds: Annotated[
+        bool,
+        typer.Option(
+            "--ignore-bounds",
+            help="With --update, also write tables of numbers outside the bounds of the "
+            "scenario's expect.",
+        ),
+    ] = False,
 ) -> None:
     """Fly scenarios and compare their metrics with golden tables."""
     from testbed.cli.progress import progress_counter
@@ -140,6 +148,7 @@ def check_command(
         }
         changed |= {"--junit": junit, "--summary": summary, "--reports": reports}
         changed |= {"--annotations": annotations, "--golden": golden, "--update": update or None}
+        changed["--ignore-bounds"] = ignore_bounds or None
         for option, value in {**changed, "--reason": reason}.items():
             if value is not None:
                 raise InputError(f"{option}: --trend flies nothing; leave {option} out")
@@ -149,6 +158,8 @@ def check_command(
         raise InputError("--figures: are of --trend DIR; write it too, or --reports for failures")
     outputs = {"--junit": junit, "--json": json, "--summary": summary, "--reports": reports}
     _check_options(outputs, update=update, reason=reason, overrides=overrides)
+    if ignore_bounds and not update:
+        raise InputError("--ignore-bounds: is of --update; write --update too")
     tolerances = parse_tolerances(tolerance or ())
     if tolerances and update:
         raise InputError("--tolerance: --update compares nothing; leave --tolerance out")
@@ -179,6 +190,7 @@ def check_command(
                 seeds=seeds,
                 jobs=jobs,
                 reason=(reason or "").strip(),
+                ignore_bounds=ignore_bounds,
                 progress=progress,
                 report=report,
             )

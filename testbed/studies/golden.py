@@ -9,7 +9,7 @@ from pathlib import Path
 
 from testbed.core.errors import InputError
 from testbed.plan.code_check import check_code
-from testbed.runs.bounds import bound_results
+from testbed.runs.bounds import BoundResult, bound_results
 from testbed.scenario import (
     Scenario,
     find_scenario,
@@ -69,13 +69,15 @@ class UpdateResult:
     Args:
         case: with the table before the update.
         verdict: comparison of the flights with that table; None if there was none.
-        problems: reasons why no table was written; empty if one was.
-        table: as written.
+        problems: of flights, for which no table was written; empty if one was.
+        bounds: comparisons with the bounds of the scenario.
+        table: as written; None: it was not, because of problems or of violated bounds.
     """
 
     case: GoldenCase
     verdict: Verdict | None
     problems: tuple[FlightProblem, ...]
+    bounds: tuple[BoundResult, ...]
     table: GoldenTable | None
 
 
@@ -224,19 +226,22 @@ def update_tables(
     seeds: int | None,
     jobs: int,
     reason: str,
+    ignore_bounds: bool = False,
     progress: Progress,
     report: Report = lambda line: None,
 ) -> list[UpdateResult]:
     """Fly scenarios and write their tables; no other function writes one.
 
     A scenario that gives the same numbers for two seeds needs no more; the others fly all seeds.
-    No table is written if a flight has a problem.
+    No table is written if a flight has a problem, or if a number is outside the bounds of its
+    scenario.
 
     Args:
         cases: with a table or without.
         seeds: number of seeds where they change the numbers; default `RANDOM_SEEDS`.
         jobs: processes at once.
         reason: why the numbers are accepted; stored in the tables.
+        ignore_bounds: write tables of numbers outside the bounds, too.
         progress: called with the number of finished flights and of all.
         report: called with a line when kernels are compiled.
 
@@ -258,7 +263,7 @@ def update_tables(
     for own, more in zip(flights, others, strict=True):
         own += more
     return [
-        _update_table(case, own, is_random, reason)
+        _update_table(case, own, is_random, reason, ignore_bounds=ignore_bounds)
         for case, own, is_random in zip(cases, flights, random, strict=True)
     ]
 
@@ -287,21 +292,29 @@ def _depends_on_seed(flights: Sequence[GoldenFlight]) -> bool:
 
 
 def _update_table(
-    case: GoldenCase, flights: Sequence[GoldenFlight], random: bool, reason: str
+    case: GoldenCase,
+    flights: Sequence[GoldenFlight],
+    random: bool,
+    reason: str,
+    *,
+    ignore_bounds: bool,
 ) -> UpdateResult:
     verdict = _compare(case, case.table, flights) if case.table else None
     problems = tuple(problem for flight in flights for problem in flight_problems(flight))
-    if problems:
-        return UpdateResult(case, verdict, problems, None)
+    documents = {flight.seed: flight.metrics for flight in flights if flight.metrics}
+    bounds = verdict.bounds if verdict else bound_results(documents, case.source, case.overrides)
+    outside = any(bound.violations for bound in bounds)
+    if problems or (outside and not ignore_bounds):
+        return UpdateResult(case, verdict, problems, bounds, None)
     table = make_table(
-        {flight.seed: flight.metrics for flight in flights if flight.metrics},
+        documents,
         scenario=case.scenario.name,
         reason=reason,
         random=random,
         inputs=read_inputs(case.scenario, case.source.parent),
     )
     write_table(case.path, table)
-    return UpdateResult(case, verdict, (), table)
+    return UpdateResult(case, verdict, (), bounds, table)
 
 
 def fly_all(

@@ -10,10 +10,12 @@ from typing import Any
 
 from testbed.metrics.document import errors
 from testbed.runs.bounds import BoundResult
+from testbed.studies.flight_code import describe_code
 from testbed.studies.flight_task import COMPLETED
 from testbed.studies.golden_table import (
     FALSE_ALARM,
     RULES,
+    SCHEMA,
     GoldenTable,
     Rule,
     metric_names,
@@ -120,6 +122,7 @@ class Verdict:
     wall_s: float
     changes: tuple[str, ...]  # of the scenario and its files
     versions: tuple[str, ...]  # that differ
+    code: str  # that wrote the table, and this one; empty: they are the same
     problems: tuple[FlightProblem, ...]
     notes: tuple[str, ...]
     rows: tuple[RowComparison, ...]
@@ -218,6 +221,7 @@ def compare(
             *file_differences(table.files, table.value_digests, inputs),
         ),
         versions=differences(table.versions, versions) if versions else (),
+        code=_describe_code(table),
         problems=tuple(problems),
         notes=tuple(notes),
         rows=tuple(_compare_row(table, key, numbers, tolerances) for key in table.rows),
@@ -245,9 +249,24 @@ def _compare_structure(
     ):
         problems.append("the seed changes the numbers, which it did not when the table was made")
     names = metric_names(flights[0])
-    problems += [f"metric {name} is missing" for name in table.metrics if name not in names]
-    notes = [f"metric {name} is new" for name in names if name not in table.metrics]
+    missing = [f"metric {name} is missing" for name in table.metrics if name not in names]
+    notes = []
+    if table.schema_version == SCHEMA:
+        problems += missing
+    else:  # metrics may have gone or have another name since
+        notes = [f"the table is of schema {table.schema_version}", *missing]
+    notes += [f"metric {name} is new" for name in names if name not in table.metrics]
     return list(dict.fromkeys(problems)), notes
+
+
+def _describe_code(table: GoldenTable) -> str:
+    """Return the code that wrote a table and the present one; empty if they are the same."""
+    now = describe_code()
+    if table.code == now:
+        return ""
+    return (
+        f"the table is of {table.code or 'a testbed whose code it does not state'}; this is {now}"
+    )
 
 
 def _key_parts(keys: Sequence[str] | Mapping[str, Any], level: int) -> list[str]:

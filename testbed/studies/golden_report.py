@@ -20,6 +20,10 @@ MAX_PROBLEMS = 12
 MAX_ROWS = 16
 MAX_VIOLATIONS = 8
 MAX_COMMANDS = 3
+OUTSIDE = (
+    "outside the bounds of the scenario: correct the bound in expect, or the scenario; "
+    "--ignore-bounds writes the table as it is"
+)
 
 
 # text of numbers and violations
@@ -108,6 +112,7 @@ def change_lines(verdict: Verdict) -> list[str]:
     return [
         *(f"the scenario changed: {change}" for change in verdict.changes),
         *(f"version: {change}" for change in verdict.versions),
+        *([f"code: {verdict.code}"] if verdict.code and not verdict.passed else []),
     ]
 
 
@@ -138,7 +143,9 @@ def print_check(verdicts: Sequence[Verdict], console: Console) -> None:
 
 
 def _needs_update(verdict: Verdict) -> bool:
-    """Return whether an update would write another table."""
+    """Return whether an update would write another table, without --ignore-bounds."""
+    if any(bound.violations for bound in verdict.bounds):
+        return False
     differs = bool(verdict.problems) or not all(row.passed for row in verdict.rows)
     return differs and all(problem.seed is None for problem in verdict.problems)
 
@@ -231,9 +238,12 @@ def print_updates(updates: Sequence[UpdateResult], console: Console) -> None:
         if update.table is None:
             head = Text.assemble(" ", (case.name, "bold"), " · ", ("NOT WRITTEN", "bold red"))
             console.print(head, soft_wrap=True)
+            outside = [line for bound in update.bounds for line in bound.lines]
             if not verdict:
                 lines = [str(problem) for problem in update.problems]
-                _lines(console, lines, MAX_PROBLEMS, "red")
+                _lines(console, [*lines, *outside], MAX_PROBLEMS, "red")
+            if outside and not update.problems:
+                _line(console, f"   {OUTSIDE}", "dim")
             continue
         table = update.table
         kind = "random" if table.random else "the same for every seed"
@@ -242,6 +252,9 @@ def print_updates(updates: Sequence[UpdateResult], console: Console) -> None:
         head.append(f" · {format_seeds(table.seeds)}, {kind} · {len(table.rows)} numbers{same}")
         console.print(head, soft_wrap=True)
         _line(console, f"   {case.path}")
+        if not verdict:
+            lines = [line for bound in update.bounds for line in bound.lines]
+            _lines(console, lines, MAX_VIOLATIONS, "yellow")
 
 
 def _lines(console: Console, lines: Sequence[str], limit: int, style: str) -> None:
@@ -278,6 +291,7 @@ def _verdict_document(verdict: Verdict) -> dict[str, Any]:
         "seeds": list(verdict.seeds),
         "changes": list(verdict.changes),
         "versions": list(verdict.versions),
+        "code": verdict.code,
         "problems": [{"seed": each.seed, "text": each.text} for each in verdict.problems],
         "notes": list(verdict.notes),
         "bounds": [_bound_document(each, verdict) for each in verdict.bounds],

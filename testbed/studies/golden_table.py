@@ -15,11 +15,13 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from testbed.core.errors import InputError
 from testbed.core.files import report_write_errors, write_text_file
-from testbed.core.input_files import read_bounded
+from testbed.core.input_files import parse_json_map, read_bounded
 from testbed.core.stats import student_quantile
+from testbed.studies.flight_code import describe_code
 from testbed.studies.scenario_snapshot import Inputs, key_digests
 
 SCHEMA: Literal[3] = 3  # raised when a key is renamed, removed or changes its meaning
+SCHEMAS = (2, SCHEMA)  # that are read: their rows are the same
 MAX_GOLDEN_BYTES = 10_000_000
 DECIMALS = 8  # of the numbers in a table
 # how the text of a table begins, of any version, also one that is damaged
@@ -72,15 +74,16 @@ class GoldenTable(_Part):
 
     `rows` have keys `quantity/window/follower`, without the parts that do not apply.
     `scenario_digests`, `files` and `value_digests` decide nothing: a comparison uses them to name
-    what changed. Tolerances are those of `RULES`.
+    what changed. Tolerances are those of `RULES`. `schema_version` is that of the file.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
 
-    schema_version: Literal[3] = Field(SCHEMA, alias="schema")
+    schema_version: Literal[2, 3] = Field(SCHEMA, alias="schema")
     scenario: str
     reason: str
     versions: dict[str, str]
+    code: str = ""  # of the testbed that wrote the table; empty in early tables
     random: bool  # whether the seed changes any number
     seeds: tuple[int, ...]
     rows: dict[str, GoldenRow]
@@ -221,6 +224,7 @@ def make_table(
         scenario=scenario,
         reason=reason,
         versions=dict(first["versions"]),
+        code=describe_code(),
         random=random,
         seeds=tuple(flights),
         rows=rows,
@@ -251,18 +255,41 @@ def read_table(path: Path) -> GoldenTable:
     """Read a table.
 
     Raises:
-        InputError: the file cannot be read, or is no table of this version.
+        InputError: the file cannot be read, or is no table of `SCHEMAS`.
     """
+    data = read_bounded(path, MAX_GOLDEN_BYTES)
+    older = _of_schema_2(data)
     try:
-        return GoldenTable.model_validate_json(read_bounded(path, MAX_GOLDEN_BYTES))
+        if older is not None:
+            return GoldenTable.model_validate(older)
+        return GoldenTable.model_validate_json(data)
     except ValidationError as error:
         first = error.errors()[0]
         if first["loc"] == ("schema",):
             raise InputError(
-                f"{path}: is of schema {first['input']!r:.20}; this version reads {SCHEMA}"
+                f"{path}: is of schema {first['input']!r:.20}; this version reads "
+                f"{' and '.join(map(str, SCHEMAS))}"
             ) from None
         where = ".".join(map(str, first["loc"])) or "the file"
         raise InputError(f"{path}: not a golden table: {where}: {first['msg']}") from None
+
+
+def _of_schema_2(data: bytes) -> dict[str, Any] | None:
+    """Return the content of a table of schema 2 with the keys of this one; None: it is none.
+
+    It had copies of the scenario, of values in files and of the rules in place of digests.
+    """
+    try:
+        table = parse_json_map(data)
+    except ValueError:
+        return None
+    if table.get("schema") != SCHEMAS[0]:
+        return None
+    old = {key: table.pop(key, {}) for key in ("rules", "band", "values", "resolved_scenario")}
+    for key, copies in (("value_digests", "values"), ("scenario_digests", "resolved_scenario")):
+        sections = old[copies] if isinstance(old[copies], dict) else {}
+        table[key] = {name: key_digests(each) for name, each in sections.items()}
+    return table
 
 
 def is_table(path: Path) -> bool:

@@ -11,9 +11,12 @@ import yaml
 from commands import call_command, refuse_all, run_command
 from snapshot import check_snapshot
 
+from testbed.scenario import load_scenario
+from testbed.studies.flight_code import describe_code
 from testbed.studies.golden import fly_all
 from testbed.studies.golden_compare import GoldenFlight
 from testbed.studies.golden_table import read_table
+from testbed.studies.scenario_snapshot import read_inputs
 
 ROOT = Path(__file__).parents[2]
 PYPROJECT = (ROOT / "pyproject.toml").read_text()
@@ -114,7 +117,7 @@ def without_a_number(path):
 UNREADABLE = {
     "broken": lambda path: '{"schema": 3}',
     "cut": lambda path: path.read_text()[:1000],
-    "old": lambda path: path.read_text().replace('"schema": 3', '"schema": 2'),
+    "old": lambda path: path.read_text().replace('"schema": 3', '"schema": 1'),
     "short": without_a_number,
 }
 
@@ -133,6 +136,106 @@ def test_update_unreadable_table_is_replaced(folder, tmp_path, monkeypatch, fly_
     assert sum(" · written · " in line for line in printed) == 1
     assert read_table(path).reason == "again"
     assert read_table(path).rows == read_table(folder / "golden/exact.json").rows
+
+
+def write_schema_2(folder, path, **rows):
+    """Write a table as schema 2 had it: with copies in place of digests, and other rules."""
+    inputs = read_inputs(load_scenario(folder / "exact.yaml"), folder)
+    table = json.loads((folder / "golden/exact.json").read_text()) | {"schema": 2}
+    for key in ("code", "value_digests", "scenario_digests"):
+        del table[key]
+    table["rules"], table["band"] = {"rms_m": {"label": "RMS error"}}, {"false_alarm": 1e-6}
+    table["values"], table["resolved_scenario"] = dict(inputs.values), dict(inputs.scenario)
+    table["metrics"] = ["a_metric_that_is_gone", *table["metrics"]]
+    for key, value in rows.items():
+        table["rows"][key]["by_seed"] = [value] * len(table["seeds"])
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(json.dumps(table))
+
+
+def test_table_of_schema_2_is_compared(folder, tmp_path, monkeypatch, fly_two):
+    """Its rows decide, its copies name what changed; an update shows old beside new."""
+    monkeypatch.setattr("testbed.studies.golden.fly_all", fly_two)
+    samples.write(tmp_path, "exact")
+    path = tmp_path / "golden" / "exact.json"
+    write_schema_2(folder, path)
+    done = check_here("exact.yaml", "--jobs", 1, cwd=tmp_path)
+    assert " exact.yaml · passed · " in done.stdout and "scenario changed" not in done.stdout
+    assert (
+        "   the table is of schema 2\n   metric a_metric_that_is_gone is missing\n" in done.stdout
+    )
+
+    samples.write(tmp_path, "exact", "controller: {gain_scale: 1.01}")
+    write_schema_2(folder, path, min_separation_m=4.0)
+    done = check_here("exact.yaml", "--jobs", 1, cwd=tmp_path, code=REGRESSION)
+    assert "the scenario changed: controller.gain_scale is now 1.01" in done.stdout
+    assert re.search(r"minimum separation, m +4\.000 +\d\.\d+ +\+\d+\.\d % better", done.stdout)
+    assert "code: the table is of a testbed whose code it does not state; this is" in done.stdout
+    done = check_here("exact.yaml", "--update", "--reason", "new", "--jobs", 1, cwd=tmp_path)
+    assert "exact.yaml · differs · " in done.stdout and "minimum separation, m  " in done.stdout
+    assert "ignored" not in done.stdout
+    assert json.loads(path.read_text())["schema"] == 3
+    check_here("exact.yaml", "--jobs", 1, cwd=tmp_path)
+
+
+def test_check_that_differs_names_the_code(folder, tmp_path, monkeypatch, fly_two):
+    """The table of a test has the code of the product; one of other code passes without a word."""
+    monkeypatch.setattr("testbed.studies.golden.fly_all", fly_two)
+    samples.write(tmp_path, "exact")
+    path = tmp_path / "golden" / "exact.json"
+    path.parent.mkdir()
+    own = (folder / "golden/exact.json").read_text()
+    assert f'"code": "{describe_code()}"' in own and re.search(r"code [0-9a-f]{12}", own)
+    other = own.replace(describe_code(), "testbed 0.0.9, code 0123456789ab")
+    path.write_text(other)
+    assert "code" not in check_here("exact.yaml", "--jobs", 1, cwd=tmp_path).stdout
+    table = json.loads(other)
+    table["rows"]["min_separation_m"]["by_seed"] = [4.0, 4.0]
+    path.write_text(json.dumps(table))
+    done = check_here("exact.yaml", "--jobs", 1, cwd=tmp_path, code=REGRESSION)
+    line = f"code: the table is of testbed 0.0.9, code 0123456789ab; this is {describe_code()}"
+    assert line in done.stdout
+    path.write_text(json.dumps(table | {"code": describe_code()}))
+    assert "code" not in check_here("exact.yaml", cwd=tmp_path, code=REGRESSION).stdout
+
+
+def test_update_outside_the_bounds_writes_no_table(tmp_path):
+    """Else the next check would fail. Both remedies that are named write the table."""
+    place = "exact.yaml:13:34: expect.min_separation_m.min: "
+    samples.write(tmp_path, "exact", "expect: {min_separation_m: {min: 50}}")
+    update = ("exact.yaml", "--update", "--reason", "first", "--jobs", 1)
+    done = check_here(*update, cwd=tmp_path, code=REGRESSION)
+    assert "exact.yaml · NOT WRITTEN" in done.stdout
+    assert f"{place}seeds 1, 2, " in done.stdout and "below 50 m" in done.stdout
+    assert "correct the bound in expect, or the scenario; --ignore-bounds writes" in done.stdout
+    assert not (tmp_path / "golden").exists()
+
+    done = check_here(*update, "--ignore-bounds", cwd=tmp_path)
+    assert " · written · " in done.stdout and f"{place}seeds 1, 2, " in done.stdout
+    written = (tmp_path / "golden/exact.json").read_text()
+    done = check_here("exact.yaml", "--jobs", 1, cwd=tmp_path, code=REGRESSION)
+    assert "--update" not in done.stdout  # which would write no table
+    done = check_here(*update, cwd=tmp_path, code=REGRESSION)  # beside the table that there is
+    assert "NOT WRITTEN" in done.stdout and f"{place}seeds 1, 2, " in done.stdout
+    assert (tmp_path / "golden/exact.json").read_text() == written
+
+    samples.write(tmp_path, "exact", "expect: {min_separation_m: {min: 2}}")
+    assert " · written · " in check_here(*update, cwd=tmp_path).stdout
+    check_here("exact.yaml", "--jobs", 1, cwd=tmp_path)
+    done = check_here("exact.yaml", "--ignore-bounds", cwd=tmp_path, code=BAD_INPUT)
+    assert done.stderr == "error: --ignore-bounds: is of --update; write --update too\n"
+
+
+def test_first_example_of_the_docs_is_in_its_bounds(tmp_path):
+    """And the number beside a narrower bound is that of its command."""
+    page = (ROOT / "docs/ci.md").read_text()
+    (tmp_path / "my").mkdir()
+    text = page.partition('```yaml title="my/wide.yaml"\n')[2].partition("```")[0]
+    (tmp_path / "my/wide.yaml").write_text(text)
+    shown = re.search(r"^\$ testbed (run my/wide\.yaml .*)\n(.*)\n", page, re.MULTILINE)
+    done = call_command(*shown[1].split(), cwd=tmp_path, code=REGRESSION, columns=100)
+    assert done.stderr.splitlines()[-1] == shown[2]
+    assert len(re.findall(r"^--set", done.stderr, re.MULTILINE)) == 1  # bounds of the file hold
 
 
 @pytest.mark.parametrize("content", ["of mine\n", '{"schema": 2, "scenario": "exact", "seed": 1}'])

@@ -39,6 +39,20 @@ HEAD = {"journal": 2, "inputs": INPUTS}
 LAST = ROW | {"run": 1}
 
 
+def test_cut_journal_is_continued_and_read_again(tmp_path):
+    """As after a power failure, a resume that is stopped, and another resume."""
+    path = write_journal(tmp_path / "study.journal", HEAD, NAMES, ROW)
+    whole = path.read_bytes()
+    for cut in (1, 20, len(json.dumps(LAST))):
+        path.write_bytes(whole + json.dumps(LAST).encode()[:cut])
+        journal = Journal(path)
+        assert len(journal) == 1
+        journal.add(JournalRow(3, "completed", "", {"a": 3.0, "b": 4.0}))
+        journal.close()
+        rows, _ = read_journal(path)
+        assert [(row.run, row.metrics["a"]) for row in rows] == [(0, 1.0), (3, 3.0)]
+
+
 def test_good_journal_is_read(tmp_path):
     rows, names = read_journal(write_journal(tmp_path / "study.journal", HEAD, NAMES, ROW, LAST))
     assert [row.run for row in rows] == [0, 1]

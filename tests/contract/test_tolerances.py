@@ -101,6 +101,10 @@ def test_limits_of_each_direction():
     assert high == pytest.approx(1.001)  # rounding stays inside
     band = Tolerances({"": "5%"}).limits("rms_m/laps/uav1", 1.0, 0.7, 1.3)
     assert band == (-math.inf, 1.3)
+    below = Tolerances(expect={"rms_m": {"not_below": "5%"}})
+    assert below.limits("rms_m/laps/uav1", 1.0, 0.7, 1.3) == (0.7, 1.3)  # the band is wider
+    low, high = Tolerances({"": "10%"}).limits("min_separation_m", -5.0)
+    assert (low, high) == (pytest.approx(-5.5), math.inf)  # a share of a negative number
 
 
 def test_improvement_is_said_in_every_output(exact):

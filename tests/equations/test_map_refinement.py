@@ -50,6 +50,17 @@ def test_circle_is_flown_in_full_resolution(centre):
     assert not (flown & far & ~coarse).any()
 
 
+@pytest.mark.parametrize("contour", [0.0, 0.5, 1.0])
+def test_contour_at_the_numbers_themselves_is_followed(contour):
+    """At the lower and at the higher of two numbers as between them. Their change is small."""
+    field = np.where(X > 0.1, 1.0, 0.0)
+    field[0, 0] = 1000.0
+    flown, _ = fly(field, contour=contour)
+    edge = crossed(X > 0.1)
+    assert whole(flown)[edge].all()
+    assert not whole(fly(field, contour=2.0)[0])[edge].any()
+
+
 def test_contour_through_a_side_is_followed():
     """A tongue that enters a coarse cell between its corners, from a cell that is refined."""
     inside = (X < -0.9) | (np.abs(Y - 0.25) < 0.1) & (X < 0.9)
