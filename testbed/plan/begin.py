@@ -8,6 +8,7 @@ from functools import partial
 from testbed.core.errors import InputError
 from testbed.core.records import Event
 from testbed.flight.loop import Flight
+from testbed.plan.scenario_files import file_digests, referents
 from testbed.scenario import Scenario, load_scenario
 from testbed.scenario.arguments import with_changes
 from testbed.vehicle.fleet import FlightModels
@@ -22,7 +23,7 @@ _PARTS = {
     "world.faults": "faults",
     "world.vehicles": "autopilots",
 }
-_Prior = tuple[Scenario, float, Flight, Flight]
+_Prior = tuple[Scenario, float, dict[str, str], Flight, Flight]  # with the digests of its files
 _last: list[_Prior] = []  # at most one: flights of a study begin alike
 
 
@@ -79,7 +80,8 @@ def _flights(
     prior: Scenario, at_s: float, fly: Callable[[Scenario], Flight]
 ) -> tuple[Flight, Flight]:
     """Return the flight of a scenario as it begins, and as it is at a time, s."""
-    if not (_last and _last[0][:2] == (prior, at_s)):
+    now = prior, at_s, file_digests(referents(prior))
+    if not (_last and _last[0][:3] == now):
         # from 0 s on: what changed in a flight that it begins with in turn counts, too
         from_zero = with_changes(prior, scenario=with_changes(prior.scenario, begin=None))
         before, after = fly(from_zero), fly(prior)
@@ -88,5 +90,5 @@ def _flights(
                 f"scenario.begin.at_s: {prior.name} ends at {after.time_s:g} s: {after.ending} "
                 "(write an earlier time)"
             )
-        _last[:] = [(prior, at_s, before, after)]
-    return _last[0][2:]
+        _last[:] = [(*now, before, after)]
+    return _last[0][3:]

@@ -9,13 +9,13 @@ from dataclasses import dataclass
 from testbed.core.errors import InputError
 from testbed.metrics.names import run_numbers
 from testbed.plan.code_check import check_code, code_names
+from testbed.plan.scenario_files import Referent, referents
 from testbed.scenario import Scenario, place_of_key
 from testbed.scenario.problems import Problem, ScenarioError, did_you_mean
 from testbed.scenario.yaml_io import walk
 from testbed.studies.journal import flatten_metrics
 from testbed.studies.plan import Plan, Study, StudyRun
 from testbed.studies.predicted_numbers import predicted_names
-from testbed.studies.scenario_snapshot import Referent, referents
 from testbed.studies.study_schema import Value
 
 MAX_CHECKED = 2_000  # scenarios read before a study is flown; each takes some milliseconds

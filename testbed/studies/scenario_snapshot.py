@@ -5,25 +5,21 @@ from __future__ import annotations
 import base64
 import hashlib
 import os
-from collections.abc import Container, Iterable, Mapping
+from collections.abc import Container, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from testbed.autopilot.param_file import read_param_file
 from testbed.core.errors import InputError
-from testbed.core.input_files import MAX_TABLE_BYTES, read_bounded
-from testbed.plan.code_files import code_files
-from testbed.scenario import Scenario, open_scenario
-from testbed.scenario.reference_fields import Reference, ReferenceKind, references
-from testbed.scenario.references import find_reference
+from testbed.plan.scenario_files import digests, referenced_files, referents
+from testbed.scenario import Scenario
 from testbed.scenario.yaml_io import plain, read
 
 # keys of `scenario` that change no number, and the seed, which is stored separately
 _LEFT_OUT = ("question", "expectation", "published", "name", "seed")
 _NO_NUMBERS = ("log", "expect")  # sections that change no number
-_OF_AIRCRAFT = (".xml", ".yaml", ".param")  # what is read of an aircraft's folder
 _NAME, _VALUE = 5, 3  # characters of `key_digests`
 
 
@@ -48,7 +44,7 @@ def read_inputs(scenario: Scenario, folder: Path) -> Inputs:
     return Inputs(
         scenario=snapshot(scenario, folder),
         non_default=frozenset(_leaves(snapshot(scenario, folder, defaults=False))),
-        files=_digests(files),
+        files=digests(files),
         values=_file_values(files),
     )
 
@@ -79,108 +75,6 @@ def _with_relative_paths(value: Any, folder: Path) -> Any:  # noqa: ANN401 - nes
     if isinstance(value, str) and os.path.isabs(value):
         return Path(os.path.relpath(value, folder)).as_posix()
     return value
-
-
-class Referent(NamedTuple):
-    """What a reference of a resolved scenario names.
-
-    Args:
-        kind: of the reference.
-        name: its text.
-        aircraft: of a tune: the aircraft that it is for; else empty.
-    """
-
-    kind: ReferenceKind
-    name: str
-    aircraft: str
-
-
-def referents(scenario: Scenario) -> dict[Referent, None]:
-    """Return what a resolved scenario names, in order."""
-    return {Referent(*each[1:]): None for each in references(scenario)}
-
-
-def file_digests(named: Iterable[Referent]) -> dict[str, str]:
-    """Return short SHA-256 digests of all files that references name, by name of the file.
-
-    A file is named with its folder, one of an aircraft from the aircraft's folder on, as in
-    `skywalker_x8/Systems/battery.xml`; with more folders where two would have one name.
-
-    Raises:
-        InputError: a file cannot be read.
-    """
-    return _digests(referenced_files(named))
-
-
-def _digests(files: Mapping[str, Path]) -> dict[str, str]:
-    return {
-        name: hashlib.sha256(read_bounded(file, MAX_TABLE_BYTES)).hexdigest()[:12]
-        for name, file in files.items()
-    }
-
-
-def referenced_files(named: Iterable[Referent]) -> dict[str, Path]:
-    """Return the files whose content can change the numbers of a scenario, by name.
-
-    These are all that references name: of an aircraft those of its folder, of code those that it
-    imports, of a scenario its file, the files that it extends and all that it names in turn.
-
-    Args:
-        named: of `referents`.
-
-    Raises:
-        ScenarioError: a file does not exist, or a scenario that is named cannot be flown.
-    """
-    files: dict[Path, int] = {}  # with the length of its name, in parts of its path
-    queue = list(named)
-    seen = set(queue)
-    for referent in queue:
-        kind, name, aircraft = referent
-        if kind == "code":
-            files |= dict.fromkeys(code_files(name), 2)
-            continue
-        path = find_reference(Reference((), kind, name, aircraft))
-        if kind == "aircraft":
-            files |= _files_below(path)
-        elif kind == "scenario":
-            draft = open_scenario(path)
-            files |= dict.fromkeys(draft.files, 2)
-            new = [each for each in referents(draft.resolve()) if each not in seen]
-            queue += new
-            seen |= set(new)
-        else:
-            files.setdefault(path, 2)
-    return _named(files)
-
-
-def _named(files: Mapping[Path, int]) -> dict[str, Path]:
-    """Return files by their names, with as many folders as tell them apart."""
-    parts = dict(files)
-    while True:
-        named: dict[str, Path] = {}
-        alike: set[Path] = set()
-        for file, count in parts.items():
-            other = named.setdefault("/".join(file.parts[-count:]), file)
-            alike |= {file, other} if other != file else set()
-        if not alike:
-            return named
-        parts |= {file: parts[file] + 1 for file in alike}
-
-
-def _files_below(folder: Path) -> dict[Path, int]:
-    """Return the files of an aircraft's folder that can be read, without caches and hidden ones."""
-    found = {file: len(file.relative_to(folder).parts) for file in sorted(folder.rglob("*"))}
-    return {
-        file: 1 + depth
-        for file, depth in found.items()
-        if file.suffix in _OF_AIRCRAFT
-        and file.is_file()
-        and not any(_is_cache(part) for part in file.parts[-depth:])
-    }
-
-
-def _is_cache(part: str) -> bool:
-    return part.startswith(".") or part == "__pycache__"
 
 
 def _file_values(named: Mapping[str, Path]) -> dict[str, Any]:

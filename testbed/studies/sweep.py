@@ -21,6 +21,7 @@ from typing import Any
 from testbed.core.errors import InputError
 from testbed.metrics.document import initial_warnings
 from testbed.metrics.expectations import bound_key, violations
+from testbed.plan.scenario_files import file_digests
 from testbed.plan.world import versions
 from testbed.runs.bounds import violation_lines
 from testbed.scenario import Scenario, dump, set_seed
@@ -40,7 +41,7 @@ from testbed.studies.plan import Plan, Study, load_study
 from testbed.studies.plan_check import CheckedPlan, check_plan
 from testbed.studies.predicted_numbers import predict_numbers
 from testbed.studies.run_choice import RunChoice, choose_runs
-from testbed.studies.scenario_snapshot import differences, file_digests, snapshot
+from testbed.studies.scenario_snapshot import differences, snapshot
 from testbed.studies.table import (
     StudyOutput,
     find_output,
@@ -159,6 +160,8 @@ def sweep(
                 choice.add(row)
             writer = _TableWriter(output, plan, journal, choice, metadata, refresh_s)
             new_runs = _fly(plan, pool, journal, choice, writer, progress, report)
+            for line in _changed_files(checked, inputs):
+                report(f"warning: {line}")
             outcomes, unexpected = _count_outcomes(
                 (row.outcome, row.error) for row in journal.rows(choice.needs)
             )
@@ -391,6 +394,19 @@ def _refuse_changed_inputs(
                 f"{output.path}: {title} changed since the study was started: "
                 f"{'; '.join(changed[:3])}{more} (undo the change, or start again without --resume)"
             )
+
+
+def _changed_files(checked: CheckedPlan, inputs: Mapping[str, Any]) -> Iterator[str]:
+    """Describe the files that have changed while the study was flown."""
+    try:
+        changed = differences(inputs["files"], file_digests(checked.referents))
+    except InputError as error:
+        changed = (str(error),)
+    for each in changed:
+        yield (
+            f"a file of a scenario changed while the study was flown: {each}; rows may be of "
+            "either (start again without --resume)"
+        )
 
 
 def _completed(study: Study, output: StudyOutput, inputs: Mapping[str, Any]) -> SweepResult:

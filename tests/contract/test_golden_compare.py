@@ -14,6 +14,7 @@ import pytest
 from rich.console import Console
 
 from testbed.core.errors import InputError
+from testbed.plan.scenario_files import file_digests, referents
 from testbed.scenario import find_aircraft, load_scenario
 from testbed.studies import golden
 from testbed.studies.golden_ci import to_junit
@@ -29,10 +30,8 @@ from testbed.studies.golden_table import (
 )
 from testbed.studies.scenario_snapshot import (
     differences,
-    file_digests,
     key_digests,
     read_inputs,
-    referents,
     scenario_differences,
 )
 

@@ -15,6 +15,7 @@ from pydantic import BaseModel
 import testbed
 from testbed.core.errors import InputError
 from testbed.plan.code_files import code_files
+from testbed.plan.scenario_files import file_digests, referenced_files
 from testbed.scenario import Scenario, SingleAircraft, find_scenario, library, load_scenario
 from testbed.scenario.fields import Section
 from testbed.scenario.pattern import Pattern
@@ -27,7 +28,6 @@ from testbed.scenario.reference_fields import (
 )
 from testbed.studies.plan import Plan, load_study
 from testbed.studies.plan_check import check_plan
-from testbed.studies.scenario_snapshot import file_digests, referenced_files
 from testbed.studies.sweep import sweep
 from testbed.studies.table import read_table
 
@@ -373,3 +373,51 @@ def test_chain_of_begins_goes_on_to_the_bit(tmp_path):
     assert a == b == c
     short = testbed.Simulation(tmp_path / "a.yaml").step(until=1.0)
     assert a != b"".join(each.tobytes() for each in (*short.truth, *short.command))
+
+
+JITTERED = """
+extends: ideal-figure-eight
+scenario: {name: jittered, duration_s: 2, windows: null}
+network: {jitter: {distribution: empirical, file: delays.csv}}
+"""
+
+
+def test_flight_that_others_begin_with_is_of_its_files(tmp_path):
+    """It is kept in the process until a file changes that it names."""
+    (tmp_path / "jittered.yaml").write_text(JITTERED)
+    begin = "{scenario: jittered.yaml, at_s: 1}"
+    header = f"{{name: later, duration_s: 2, windows: null, begin: {begin}}}"
+    (tmp_path / "later.yaml").write_text(f"extends: ideal-figure-eight\nscenario: {header}\n")
+
+    def fly(delay_s):
+        (tmp_path / "delays.csv").write_text(f"delay_s\n{delay_s}\n")
+        state = testbed.Simulation(tmp_path / "later.yaml").step(until=1.2)
+        return b"".join(each.tobytes() for each in state.truth)
+
+    assert fly(0.01) != fly(0.5)
+    assert fly(0.01) == fly(0.01)
+
+
+def test_file_that_changes_while_a_study_is_flown_is_named(tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        "testbed.studies.flight_pool._open_workers", lambda *_: small_study.InThisProcess()
+    )
+    (tmp_path / "jittered.yaml").write_text(JITTERED)
+    (tmp_path / "delays.csv").write_text("delay_s\n0.01\n")
+    study = tmp_path / "study.yaml"
+    study.write_text(
+        "study: {schema: 1, name: s, scenario: jittered.yaml, duration_s: 0.1, seeds: 1}\n"
+    )
+    lines = []
+    sweep(study, tmp_path / "one.parquet", report=lines.append)
+    assert not any("changed while" in line for line in lines)
+
+    def edit(done, total):
+        (tmp_path / "delays.csv").write_text("delay_s\n0.02\n")
+
+    sweep(study, tmp_path / "two.parquet", report=lines.append, progress=edit)
+    (line,) = [line for line in lines if "changed while" in line]
+    assert line.startswith("warning: a file of a scenario changed while the study was flown: ")
+    assert "/delays.csv from " in line and "(start again without --resume)" in line
+    with pytest.raises(InputError, match=r"a file of a scenario changed .*/delays.csv from "):
+        sweep(study, tmp_path / "two.parquet", resume=True)

@@ -241,7 +241,7 @@ def test_resume_changed_code_is_refused(workers, tmp_path, monkeypatch):
 def test_flight_packages_are_all_that_are_imported():
     """A resumed study compares the code of every package that its flights import."""
     program = (
-        "import sys, testbed, testbed.studies.flight_code as code\n"
+        "import sys, testbed, testbed.studies.sweep, testbed.studies.flight_code as code\n"
         "scenario = testbed.scenario.load_scenario('ideal-figure-eight')\n"
         "testbed.run(testbed.scenario.set_duration(scenario, 1.0), write=False)\n"
         "names = {each.split('.')[1] for each in sys.modules if each.startswith('testbed.')}\n"
