@@ -398,6 +398,21 @@ def test_flight_that_others_begin_with_is_of_its_files(tmp_path):
     assert fly(0.01) == fly(0.01)
 
 
+@pytest.mark.parametrize("design", ["{design: monte-carlo, samples: 30}", "{design: factorial}"])
+def test_files_of_all_levels_are_found(tmp_path, monkeypatch, design):
+    """Also of a study with more points than are read before its first flight."""
+    monkeypatch.setattr("testbed.studies.plan_check.MAX_CHECKED", 1)
+    (tmp_path / "jittered.yaml").write_text(JITTERED)
+    names = [f"{each}.csv" for each in ("delays", "a", "b", "c")]
+    for name in names:
+        (tmp_path / name).write_text("delay_s\n0.01\n")
+    keys = f"network.delay_s: [0, 0.1], network.jitter.file: [{', '.join(names[1:])}]"
+    settings = f"{{schema: 1, name: s, scenario: jittered.yaml, seeds: 1, {design[1:]}"
+    (tmp_path / "study.yaml").write_text(f"study: {settings}\nvary: {{{keys}}}\n")
+    found = {path.name for path in named_files(tmp_path).values()}
+    assert set(names) <= found
+
+
 def test_file_that_changes_while_a_study_is_flown_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr(
         "testbed.studies.flight_pool._open_workers", lambda *_: small_study.InThisProcess()
