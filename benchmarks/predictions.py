@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import cast
 
 import numpy as np
@@ -22,12 +22,13 @@ from testbed.plan.world import build, versions
 from testbed.scenario import Scenario, find_aircraft, load_scenario
 from testbed.scenario.yaml_io import read
 from testbed.studies.flight_pool import open_flight_pool
-from testbed.studies.margins import predicted_margins_of
+from testbed.studies.margins import margins_of, predicted_margins_of
 from testbed.trials.delay_margin import delay_margins
 from testbed.trials.held_flight import COMMANDS, KICK_S, HeldFlight
-from testbed.trials.linear_formation import MAX_GAIN, LinearFormation, join
-from testbed.trials.predicted_margins import fly_steadily, linearise, settle
-from testbed.trials.steady_flight import RECORD_S, steady_scenario
+from testbed.trials.linear_formation import MAX_GAIN, MAX_LATENCY_S, LinearFormation, join
+from testbed.trials.margins import FASTEST_HZ, RECORD_S
+from testbed.trials.predicted_margins import fly_linearisable, linearise
+from testbed.trials.steady_flight import settle, steady_scenario
 
 MARK = "make predictions"
 KICK = math.radians(1.0)
@@ -42,10 +43,8 @@ AIRCRAFT = {
         ("fleet.*.aircraft=skywalker_x8", "formation.speed_pole_per_s=0.4"),
     ),
 }
-MARGIN_S = 12.0  # of flights whose oscillations grow or decay
 RING_S = (531.0, 533.7)  # of uav1 in Simulation 3, profile rms: a descending turn
 RING_DT = 0.04
-FASTEST_HZ = 5.0  # faster modes are those of filters, and hardly move an aircraft
 PAIR = (
     "formation.leader_gains={uav1: 1, uav2: 1, uav3: 1}",
     "formation.neighbour_gains={uav1: {uav2: 1}, uav2: {uav1: 1}, uav3: {uav2: 1}}",
@@ -79,7 +78,7 @@ def text_of_modes() -> str:
     ]
     errors: list[tuple[float, float, float]] = []
     for scenario, bank_deg in _cases():
-        flight, problem = fly_steadily(scenario, bank_deg)
+        flight, problem = fly_linearisable(scenario, bank_deg)
         profile = f"`{scenario.controller.profile}`"
         if problem:
             lines.append(row(profile, f"{bank_deg:g}°", problem, *("–",) * 5))
@@ -119,33 +118,58 @@ def text_of_modes() -> str:
 def text_of_margins() -> str:
     """Compare factors and latencies of one command of one follower with bisections in flight."""
     lines = [
-        row("profile", "bank", "follower", "command", "factor, predicted", "flown")
-        + " latency, predicted, ms | flown, ms |",
-        "|---|--:|---|---|--:|--:|--:|--:|",
+        row("simulation", "profile", "bank", "follower", "factor: pitch", "roll", "throttle")
+        + " latency, ms: pitch | roll | throttle |",
+        "|--:|---|--:|---|" + "--:|" * 6,
     ]
-    errors: list[tuple[float, float]] = []
-    for scenario, bank_deg in _cases():
-        flight, problem = fly_steadily(scenario, bank_deg)
-        if problem:
+    cases = list(_cases_of_margins())
+    flat = [(scenario, bank_deg) for _, scenario, bank_deg in cases]
+    with open_flight_pool(jobs=2) as pool:
+        predicted = predicted_margins_of(flat, pool)
+        flown = margins_of(flat, pool)
+    errors: dict[str, list[tuple[float, float]]] = {}
+    for (number, scenario, bank_deg), expected, measured in zip(
+        cases, predicted, flown, strict=True
+    ):
+        title = f"{number}", f"`{scenario.controller.profile}`", f"{bank_deg:g}°"
+        if problem := expected.problem or measured.problem:
+            lines.append(row(*title, problem, *("–",) * 6))
             continue
-        formation = join(linearise(flight))
-        start = flight.save()
-        banks = np.degrees(flight.world.aircraft["truth"]["euler"][1:, 0])
-        for i, k in ((0, 1), (1, 1), (1, 0), (1, 2)):
-            margins = formation.margins(i)[k]
-            gain, latency_s = _flown_margins(flight, start, i, k, margins.gain, margins.latency_s)
-            errors.append((margins.gain / gain - 1.0, margins.latency_s / latency_s - 1.0))
-            lines.append(
-                row(
-                    *(f"`{scenario.controller.profile}`", f"{banks[i]:.1f}°"),
-                    *(formation.names[i], COMMANDS[k]),
-                    *(_number(margins.gain, 2), _number(gain, 2)),
-                    *(_number(1000.0 * margins.latency_s, 0), _number(1000.0 * latency_s, 0)),
-                )
-            )
-    largest = 100.0 * np.nanmax(np.abs(np.array(errors)), axis=0)
-    lines += ["", f"Largest errors: factor {largest[0]:.1f} %, latency {largest[1]:.1f} %."]
+        of_bank = errors.setdefault(title[-1], [])
+        for one, other in zip(expected.followers, measured.followers, strict=True):
+            pairs = [(one.commands[name], other.commands[name]) for name in COMMANDS]
+            of_bank += [
+                (_error(a.gain, b.gain), _error(a.latency_s, b.latency_s)) for a, b in pairs
+            ]
+            gains = [f"{_limited(a.gain)} \\| {_limited(b.gain)}" for a, b in pairs]
+            latencies = [f"{_late(a.latency_s)} \\| {_late(b.latency_s)}" for a, b in pairs]
+            lines.append(row(*title, one.name, *gains, *latencies))
+    lines.append("")
+    for bank, found in errors.items():
+        largest = 100.0 * np.nanmax(np.abs(np.array(found)), axis=0)
+        lines.append(
+            f"Largest errors at {bank}: factor {largest[0]:.1f} %, latency {largest[1]:.1f} %.  "
+        )
     return "\n".join(lines)
+
+
+def _cases_of_margins() -> Iterator[tuple[int, Scenario, float]]:
+    for number in SIMULATIONS:
+        for bank_deg in (0.0, 30.0):
+            yield number, load_scenario(f"simulation-{number}"), bank_deg
+    yield 3, load_scenario("simulation-3"), 45.0
+    for bank_deg in BANKS_DEG:
+        yield 3, load_scenario("simulation-3", ["controller.profile=rms"]), bank_deg
+
+
+def _error(predicted: float, flown: float) -> float:
+    """Return the relative error of a prediction; NaN where it is beyond what is tried."""
+    return predicted / flown - 1.0 if math.isfinite(predicted + flown) else math.nan
+
+
+def _late(latency_s: float) -> str:
+    most = f"> {1000.0 * MAX_LATENCY_S:g}"
+    return f"{1000.0 * latency_s:.0f}" if math.isfinite(latency_s) else most
 
 
 def text_of_delays() -> str:
@@ -249,53 +273,6 @@ def _pair(predicted: list[Oscillation], flown: Array, dt: float) -> tuple[Oscill
     return mode, min(others, key=lambda other: abs(pole(other) - pole(mode)))
 
 
-def _flown_margins(
-    flight: HeldFlight, start: object, i: int, k: int, gain: float, latency_s: float
-) -> tuple[float, float]:
-    """Bisect the factor and the latency of a command in flight, from what is predicted."""
-    inputs = flight.inputs
-
-    def decays(set_input: Callable[[], None]) -> bool:
-        n = len(flight.world.followers)
-        periods = round(MARGIN_S / flight.dt)
-        inputs.end()
-        set_input()
-        still = flight.respond(start, periods)  # type: ignore[arg-type]
-        kicks = np.zeros((n, 3))
-        kicks[i] = SMALL_KICK, SMALL_KICK, 0.02 * SMALL_KICK
-        moved = (flight.respond(start, periods, kicks) - still)[:, i]  # type: ignore[arg-type]
-        inputs.end()
-        # without the slow return to the slot
-        moving = np.column_stack((moved[1:, :2], np.diff(moved[:, 2:], axis=0)))
-        modes = find_oscillations(moving, flight.dt)
-        return all(mode.damping > 0.0 for mode in modes if mode.frequency_hz < FASTEST_HZ)
-
-    def with_gain(value: float) -> None:
-        inputs.gain[i, k] = value
-
-    def with_latency(value: float) -> None:
-        inputs.latency_s[i, k] = value
-
-    def bisect(change: Callable[[float], None], low: float, high: float) -> float:
-        if (
-            not math.isfinite(high)
-            or decays(lambda: change(high))
-            or not decays(lambda: change(low))
-        ):
-            return math.nan
-        for _ in range(9):
-            middle = 0.5 * (low + high)
-            low, high = (
-                (middle, high) if decays(lambda at=middle: change(at)) else (low, middle)  # type: ignore[misc]
-            )
-        return low
-
-    return (
-        bisect(with_gain, 1.0 + 0.75 * (gain - 1.0), 1.0 + 1.3 * (gain - 1.0)),
-        bisect(with_latency, 0.75 * latency_s, 1.3 * latency_s),
-    )
-
-
 def _late_flight(name: str, overrides: tuple[str, ...], delay_s: float) -> HeldFlight:
     late = (f"network.delay_s={delay_s}", "controller.extrapolate_from=timestamp")
     scenario = load_scenario(name, (*overrides, *late))
@@ -313,10 +290,6 @@ def _decays_late(name: str, overrides: tuple[str, ...], delay_s: float) -> bool:
     kicks[0] = SMALL_KICK, SMALL_KICK, SMALL_KICK
     errors = np.abs(flight.respond(start, 1250, kicks) - still)[..., 2:].max(axis=(1, 2))
     return bool(errors[1000:].max() < errors[500:750].max())
-
-
-def _number(value: float, digits: int) -> str:
-    return f"{value:.{digits}f}" if math.isfinite(value) else "–"
 
 
 def text_of_profiles() -> str:
@@ -386,7 +359,9 @@ INPUTS = {
         )
     ),
     f"{MARK}, modes": Inputs(_PROFILES),
-    f"{MARK}, margins": Inputs(_PROFILES),
+    f"{MARK}, margins": Inputs(
+        (*(Case(f"simulation-{number}") for number in SIMULATIONS), *_PROFILES)
+    ),
     f"{MARK}, delays": Inputs((Case("simulation-1"), Case("simulation-3", PAIR))),
     f"{MARK}, ring": Inputs((Case("simulation-3", ("controller.profile=rms",)),)),
 }

@@ -34,7 +34,7 @@ from testbed.core.numbers import parse_number
 
 if TYPE_CHECKING:
     from testbed.scenario import Scenario
-    from testbed.trials.margins import FollowerMargins, Margins
+    from testbed.trials.margins import Margins
     from testbed.trials.predicted_margins import Prediction
 
 
@@ -46,9 +46,12 @@ class Method(StrEnum):
     BOTH = "both"
 
 
-def _read_banks(parameter: typer.CallbackParam, text: str) -> str:
+DEFAULT_BANKS_DEG = (0.0, 30.0, 45.0)
+
+
+def _read_banks(parameter: typer.CallbackParam, text: str | None) -> str | None:
     """Check the banks of --bank; a typer callback."""
-    for part in text.split(","):
+    for part in (text or "").split(",") if text is not None else ():
         bank = parse_number(part.strip())
         if bank is None or not 0.0 <= bank <= 60.0:
             raise InputError(f"--bank {text}: write banks of 0 to 60 degrees, such as 0,30,45")
@@ -58,14 +61,14 @@ def _read_banks(parameter: typer.CallbackParam, text: str) -> str:
 def margins_command(
     scenario: ScenarioName,
     bank: Annotated[
-        str,
+        str | None,
         typer.Option(
             metavar="DEG,...",
             help="Banks of the steady flights, degrees, of the follower that banks most; 0: "
-            "straight.",
+            "straight.  \\[default: 0,30,45, at most 2 below the limit of the bank]",
             callback=_read_banks,
         ),
-    ] = "0,30,45",
+    ] = None,
     climb: Annotated[
         float,
         typer.Option(
@@ -105,17 +108,24 @@ def margins_command(
     least of |1 + L| of the open loop L. Of both directions each number is the worse one. Followers
     that receive from each other have a margin of message delay, in straight flight.
 
-    Measured are: the least damped oscillation of bank and pitch after a kick
-    of 1° of one follower's commands; when 5 % are left of a displacement of 1 m to the right and
-    down; the largest factor and the largest additional latency of one follower's roll command with
-    which oscillations still decay.
+    Measured are: the least damped oscillation of bank and pitch after a kick of 0.02° of one
+    follower's commands; when 5 % are left of a displacement of 1 m to the right and down; the
+    largest factor and the largest additional latency of one command of one follower with which
+    oscillations still decay.
     """
     from testbed.cli.progress import progress_counter
     from testbed.studies.flight_pool import open_flight_pool
     from testbed.studies.margins import margins_of, predicted_margins_of, to_document
+    from testbed.trials.steady_flight import suitable_banks
 
+    if plot and method is Method.FLOWN:
+        raise InputError("--plot: nothing is predicted to draw (write --method both)")
     loaded = load_scenario(scenario, overrides)
-    banks = [float(part.strip()) for part in dict.fromkeys(bank.split(","))]
+    banks: Sequence[float] = DEFAULT_BANKS_DEG
+    if bank is not None:
+        banks = [float(part.strip()) for part in dict.fromkeys(bank.split(","))]
+    with error_places(scenario, overrides):
+        banks = suitable_banks(loaded, banks, asked=bank is not None)
     cases = [(loaded, each) for each in banks]
     messages = message_console()
     predicted: Sequence[Prediction] = ()
@@ -149,7 +159,7 @@ def margins_command(
     if predicted and measured:
         console.write_line()
     if any(each.followers for each in measured):
-        console.print_table(_table(measured))
+        console.print_table(_table(measured, predicted))
     for one in measured:
         for text, style in ((one.problem, "yellow"), (one.note, "")):
             if text:
@@ -172,7 +182,7 @@ def _draw(scenario: Scenario, predicted: Sequence[Prediction], file: Path) -> No
         if at.followers
     ]
     if not banks:
-        raise InputError("--plot: nothing predicted to draw (write --method predicted)")
+        raise InputError("--plot: no bank has poles to draw, because none is steady")
     subtitle = f"poles of the linearised formation, profile {scenario.controller.profile}"
     with report_write_errors(f"--plot {file}"):
         save_figure(poles_figure(scenario.name, subtitle, banks), file)
@@ -189,9 +199,6 @@ def _predicted_table(found: Sequence[Prediction]) -> Table:
     for name in ("\nfactor", "latency\ns", "phase\n°", "dis-\ntance"):
         table.add_column(name, justify="right", no_wrap=True)
 
-    def limited(value: float, largest: float, digits: int) -> str:
-        return f"{value:.{digits}f}" if math.isfinite(value) else f"> {largest:g}"
-
     for at in found:
         for each in at.followers:
             mode = each.least_damped
@@ -206,9 +213,9 @@ def _predicted_table(found: Sequence[Prediction]) -> Table:
                 table.add_row(
                     *(first if number == 0 else ("", "", "", "")),
                     name,
-                    limited(margins.gain, MAX_GAIN, 2),
-                    limited(margins.latency_s, MAX_LATENCY_S, 3),
-                    limited(margins.phase_deg, 180.0, 0),
+                    _limited(margins.gain, MAX_GAIN, 2),
+                    _limited(margins.latency_s, MAX_LATENCY_S, 3),
+                    _limited(margins.phase_deg, 180.0, 0),
                     f"{margins.distance:.2f}",
                     end_section=last,
                 )
@@ -227,32 +234,47 @@ def _delay_lines(straight: Prediction) -> list[str]:
     return lines or [" no followers receive from each other: stable at every message delay"]
 
 
-def _table(found: Sequence[Margins]) -> Table:
-    from testbed.trials.margins import MAX_ROLL_GAIN, MAX_ROLL_LATENCY_S
-    from testbed.trials.steady_flight import LONG_RECORD_S
+def _limited(value: float, largest: float, digits: int) -> str:
+    return f"{value:.{digits}f}" if math.isfinite(value) else f"> {largest:g}"
+
+
+def _table(found: Sequence[Margins], predicted: Sequence[Prediction]) -> Table:
+    """Return what was flown, with the predicted factors and latencies where there are any."""
+    from testbed.trials.linear_formation import MAX_GAIN, MAX_LATENCY_S
+    from testbed.trials.margins import LONG_RECORD_S
 
     table = ruled_table()
-    table.add_column(Text("\nfollower", style="bold"), no_wrap=True)
-    for name in (
-        *("bank\n°", "oscillation\nHz", "damping\nratio", "settling\ns"),
-        *("roll command\nfactor", "latency\ns"),
-    ):
+    table.add_column(Text("flown\nfollower", style="bold"), no_wrap=True)
+    bank = () if predicted else ("bank\n°",)  # the table of the predicted ones has it
+    for name in (*bank, "oscill.\nHz", "damp.\nratio", "settl.\ns"):
         table.add_column(name, justify="right", no_wrap=True)
-
-    def cells(each: FollowerMargins) -> tuple[str, ...]:
-        mode = each.least_damped
-        return (
-            f"{each.bank_deg:.1f}",
-            MISSING if mode is None else f"{mode.frequency_hz:.2f}",
-            MISSING if mode is None else f"{mode.damping:.3f}",
-            f"> {LONG_RECORD_S:g}" if each.settling_s is None else f"{each.settling_s:.1f}",
-            f"> {MAX_ROLL_GAIN:g}" if each.roll_gain is None else f"{each.roll_gain:.2f}",
-            f"> {MAX_ROLL_LATENCY_S:g}"
-            if each.roll_latency_s is None
-            else f"{each.roll_latency_s:.3f}",
-        )
-
+    table.add_column("\ncommand", no_wrap=True)
+    for name, unit in (("factor", ""), ("latency", "s")):
+        titles = (f"{name}\npred.", "\nflown") if predicted else (f"{name}\n{unit}",)
+        for title in titles:
+            table.add_column(title, justify="right", no_wrap=True)
+    by_bank = {at.bank_deg: {each.name: each for each in at.followers} for at in predicted}
     for at in found:
         for each in at.followers:
-            table.add_row(each.name, *cells(each), end_section=each is at.followers[-1])
+            mode, other = each.least_damped, by_bank.get(at.bank_deg, {}).get(each.name)
+            settling = f"> {LONG_RECORD_S:g}"
+            first = (
+                each.name,
+                *(() if predicted else (f"{each.bank_deg:.1f}",)),
+                MISSING if mode is None else f"{mode.frequency_hz:.2f}",
+                MISSING if mode is None else f"{mode.damping:.3f}",
+                settling if each.settling_s is None else f"{each.settling_s:.1f}",
+            )
+            for number, (name, margins) in enumerate(each.commands.items()):
+                gains, latencies = [margins.gain], [margins.latency_s]
+                if predicted:
+                    gains.insert(0, math.nan if other is None else other.commands[name].gain)
+                    latencies.insert(
+                        0, math.nan if other is None else other.commands[name].latency_s
+                    )
+                cells = [_limited(gain, MAX_GAIN, 2) for gain in gains]
+                cells += [_limited(late, MAX_LATENCY_S, 3) for late in latencies]
+                last = each is at.followers[-1] and number == len(each.commands) - 1
+                own = first if number == 0 else ("",) * len(first)
+                table.add_row(*own, name, *cells, end_section=last)
     return table

@@ -132,8 +132,6 @@ class Flight:
         call = Call(pause, self._place, self._addresses, NOW)
         stop = Stage(Part.SENSE, StageRate.TICK, PAUSE, call=call)
         self._paused_loop = self._make_loop((*sense, stop, *rest), self._place)
-        control = (each for each in rest if each.part is Part.CONTROL)
-        self._steering = self._make_loop((*sense, *control))
         clock, all_motions = world.clock, False
         if world.parts is not None:
             all_motions = world.parts.radio.needs_all_positions
@@ -423,15 +421,6 @@ class Flight:
             loop.load(*next(self._blocks), self._last_tick)
             if not self._is_begun:
                 self._is_begun = loop.seek(self._first_tick, _is_sensing)
-
-    def steer(self, now: float, due: TickActions) -> None:
-        """Sense and control at a time, s, without stepping autopilots: for measurements."""
-        tick = self._world.clock.ticks(now)
-        self._steering.load([(tick, due, 0, ())], 0, tick)
-        self._steering.limit(1)
-        while (stage := self._steering.run()) is not None:
-            if stage.then is not None:
-                stage.then(now)
 
     def sample(self, now: float) -> Sample:
         """Return the state at the tick to which `fly_to` has flown, as views of the records.

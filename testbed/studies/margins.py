@@ -14,14 +14,22 @@ from testbed.studies.flight_pool import FlightPool
 from testbed.studies.flight_task import COMPLETED, FlightTask
 from testbed.trials.delay_margin import DelayMargin
 from testbed.trials.linear_formation import CommandMargins, Mode
-from testbed.trials.margins import Margins, directions, measure_margins, worse_of
-from testbed.trials.predicted_margins import Prediction, predict_margins, worse_prediction
+from testbed.trials.margins import FlownMargins, Margins, directions, measure_margins, worse_of
+from testbed.trials.predicted_margins import (
+    NotLinearisable,
+    Prediction,
+    predict_margins,
+    worse_prediction,
+)
 
 T = TypeVar("T")
 
 
 def _predict(bank_deg: float, climb_mps: float, scenario: Scenario) -> dict[str, Any]:
-    return {"margins": predict_margins(scenario, bank_deg, climb_mps)}
+    try:
+        return {"margins": predict_margins(scenario, bank_deg, climb_mps)}
+    except NotLinearisable as error:
+        raise NotLinearisable(error.problem, f"{error.remedy}, or --method flown") from error
 
 
 def _measure(bank_deg: float, climb_mps: float, scenario: Scenario) -> dict[str, Any]:
@@ -89,10 +97,10 @@ def to_document(
 ) -> dict[str, Any]:
     """Return margins as plain data for JSON; what is beyond the largest value tried is null."""
     return {
-        "schema": 2,
+        "schema": 3,
         "scenario": scenario.name,
         **({"predicted": [_plain(asdict(each)) for each in predicted]} if predicted else {}),
-        **({"flown": [asdict(each) for each in flown]} if flown else {}),
+        **({"flown": [_plain(asdict(each)) for each in flown]} if flown else {}),
     }
 
 
@@ -108,7 +116,7 @@ def _plain(value: Any) -> Any:  # noqa: ANN401
             "follower": value.follower,
             "motion": value.motion,
         }
-    if isinstance(value, CommandMargins | DelayMargin):
+    if isinstance(value, CommandMargins | DelayMargin | FlownMargins):
         return _plain(value._asdict())
     if isinstance(value, list | tuple):
         return [_plain(each) for each in value]

@@ -94,7 +94,7 @@ class Constraint(Section):
     roll_latency_s: Seconds | None = Field(
         None,
         ge=SMALLEST,
-        le=0.5,
+        le=1,
         description="The same, additional latency of the roll command, s.",
     )
     settling_s: Seconds | None = Field(

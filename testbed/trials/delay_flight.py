@@ -25,6 +25,7 @@ from testbed.scenario import Scenario
 from testbed.scenario.arguments import with_changes
 from testbed.scenario.network import Bernoulli, Link, Network
 from testbed.trials.delay_offset import (
+    MAX_LOSS,
     MessageAges,
     SteadyMotion,
     ages_of_messages,
@@ -93,7 +94,7 @@ def predict_errors(scenario: Scenario, bank_deg: float) -> SteadyErrors:
 
 def _build(scenario: Scenario, bank_deg: float) -> World:
     check_measurable(scenario)
-    steady = steady_scenario(scenario, bank_deg, "compiled")
+    steady = steady_scenario(scenario, bank_deg, scenario.scenario.engine)
     duration_s = SETTLE_S + RANDOM_LOOK_S + 2.0 * LOOK_S
     header = with_changes(steady.scenario, duration_s=duration_s)
     world = build(with_changes(steady, scenario=header))
@@ -110,7 +111,6 @@ def fly_errors(scenario: Scenario, bank_deg: float) -> SteadyErrors:
 
     Raises:
         MarginsError: the scenario cannot be flown so, or the bank is too near a limit.
-        InputError: an aircraft has no compiled flight model.
     """
     world = _build(scenario, bank_deg)
     slots = world.formation.control.offsets, world.formation.altitudes
@@ -185,7 +185,7 @@ def message_ages(scenario: Scenario, world: World) -> MessageAges:
     delay, loss = np.zeros((2, len(world.names) - 1, len(world.names)))
     for i, j, link in links.pairs():
         delay[i, j] = link.delay_s or 0.0
-        loss[i, j] = link.loss.probability if isinstance(link.loss, Bernoulli) else 0.0
+        loss[i, j] = _loss(link)
     clock = world.clock
     steps = math.lcm(clock.control, clock.broadcast) // clock.control
     sent = np.array([each or 0 for each in clock.broadcast_phases])
@@ -221,11 +221,20 @@ def check_predictable(scenario: Scenario, world: World, *, turning: bool) -> Non
     elif network.tdma or network.broadcast or network.clocks:
         key = next(each for each in ("tdma", "broadcast", "clocks") if getattr(network, each))
         problem = f"network.{key}: only delay_s and independent loss are predicted"
+    elif (most := max((_loss(link) for link in links.distinct), default=0.0)) > MAX_LOSS:
+        lost = "no message arrives" if most == 1.0 else "hardly a message arrives"
+        problem = f"network.loss: is {most:.10g}, so {lost}"
+        remedy = f"write at most {MAX_LOSS:g}, or --method flown"
     elif turning and np.any(np.abs(gains[..., 0] - gains[..., 1]) > _ROUNDING):
         problem = "formation: gains that differ north and east have no steady flight in a turn"
         remedy = "write equal ones, or --bank 0"
     if problem:
         raise MarginsError(f"{problem} ({remedy})")
+
+
+def _loss(link: Link) -> float:
+    """Return the probability of independent losses on a link."""
+    return link.loss.probability if isinstance(link.loss, Bernoulli) else 0.0
 
 
 def _other_keys(link: Link) -> list[str]:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from testbed.core.records import Array
+from testbed.core.records import Array, Indices
 from testbed.trials.follower_state import about_vertical
 from testbed.trials.linear_formation import (
     MESSAGE_SIZE,
@@ -31,6 +31,7 @@ MAX_DELAY_S = 2.0  # additional, that is tried
 _FREQUENCIES = 3000
 _LOWEST_HZ = 1e-3
 _LARGEST_TURN = 0.5  # rad, of the determinant between two frequencies, for a count to be sure
+_REFINEMENTS = 20  # halvings of the interval between two frequencies
 
 
 class DelayMargin(NamedTuple):
@@ -80,26 +81,54 @@ class _MessageLoop:
     def __init__(
         self, maps: PeriodMaps, followers: Sequence[LinearFollower], rows: Sequence[int]
     ) -> None:
-        self._maps, self._rows = maps, rows
+        self._maps, self._followers, self._rows = maps, followers, rows
         self._frequency_hz = np.geomspace(_LOWEST_HZ, 0.5 / maps.dt, _FREQUENCIES)
+        self._z = self._points(self._frequency_hz)
+        self._responses = self._respond(self._z)
+
+    def _points(self, frequency_hz: Array) -> Array:
         # a little outside the unit circle: slow drifts are no instability
-        self._z = np.exp(maps.dt * (SLOWEST + 2j * np.pi * self._frequency_hz))
-        self._responses = {
-            (i, j): transfer(own.a, own.b_message[j + 1], own.c_message, self._z)
-            for i in rows
-            for own in (followers[i],)
-            for j in rows
+        points: Array = np.exp(self._maps.dt * (SLOWEST + 2j * np.pi * frequency_hz))
+        return points
+
+    def _respond(self, z: Array) -> dict[tuple[int, int], Array]:
+        """Return the responses of each follower to the messages of each other, at points (F,)."""
+        return {
+            (i, j): transfer(own.a, own.b_message[j + 1], own.c_message, z)
+            for i in self._rows
+            for own in (self._followers[i],)
+            for j in self._rows
             if j + 1 in own.b_message
         }
 
     def count_unstable(self, periods: int) -> int:
         """Return the number of unstable poles with messages these control periods later.
 
-        The sum of the turns is of half the circle: the other half is its mirror image.
+        The sum of the turns is of half the circle: the other half is its mirror image. Where the
+        determinant turns far between two frequencies, others are added between them, until a whole
+        turn cannot be missed. Next to a pole on the circle it turns by half a turn at one point.
         """
+        for _ in range(_REFINEMENTS):
+            turns = self._turns(periods)
+            far = np.flatnonzero(np.abs(turns) > _LARGEST_TURN)
+            if not len(far):
+                break
+            self._refine(far)
+        return round(-float(self._turns(periods).sum()) / math.pi)
+
+    def _turns(self, periods: int) -> Array:
         determinant = self._determinant(periods)
-        turns = np.angle(determinant[1:] / determinant[:-1])
-        return round(-float(turns.sum()) / math.pi)
+        turns: Array = np.angle(determinant[1:] / determinant[:-1])
+        return turns
+
+    def _refine(self, after: Indices) -> None:
+        """Add a frequency after each of some (K,)."""
+        between = np.sqrt(self._frequency_hz[after] * self._frequency_hz[after + 1])
+        new = self._points(between)
+        self._frequency_hz = np.insert(self._frequency_hz, after + 1, between)
+        self._z = np.insert(self._z, after + 1, new)
+        for link, response in self._respond(new).items():
+            self._responses[link] = np.insert(self._responses[link], after + 1, response, axis=0)
 
     def _determinant(self, periods: int) -> Array:
         maps, size = self._maps, MESSAGE_SIZE

@@ -24,6 +24,9 @@ from testbed.formation.control_function import sample_control_functions
 from testbed.formation.leader_filter import BROADCAST, TURN
 
 Complex = NDArray[np.complex128]
+# of independent losses, that are predicted: 404 in a row are counted; with more hardly a message
+# arrives, and a formation is lost before (docs/margins.md, maps)
+MAX_LOSS = 0.95
 _NEGLIGIBLE = 1e-9  # probability of as many losses in a row
 _ROUNDING_S = 1e-9
 _NEWTON_STEPS = 30
@@ -78,7 +81,7 @@ def ages_of_messages(
 
     Args:
         delay_s: (n, N) d of the links.
-        loss: (n, N) p of the links.
+        loss: (n, N) p of the links, at most MAX_LOSS.
         after_s: (n, N, C) from a transmission to each of the control steps after which the pattern
             of transmissions and control steps repeats.
         interval_s: from one transmission to the next.

@@ -1,4 +1,4 @@
-"""A formation in steady flight in compiled code, from whose present any number of flights go on.
+"""A formation in steady flight, from whose present any number of flights go on.
 
 Stages of the flight can hold and change the messages that followers use, and change, delay and add
 to their commands.
@@ -11,6 +11,7 @@ import math
 import numpy as np
 
 from testbed.core.call_list import run_steps
+from testbed.core.frames import course
 from testbed.core.records import Array, Records
 from testbed.core.saved_state import SavedState
 from testbed.flight.loop import Flight
@@ -26,10 +27,16 @@ MESSAGE = ("position_ned", "velocity_ned", "acceleration_ned")  # of a follower'
 LEADER_MESSAGE = (*MESSAGE, "euler", "euler_rates")
 COMMANDS = ("pitch", "roll", "throttle")
 KICK_S = 0.2
+GIVE_COMMANDS = "give commands to autopilots"
 
 
 class InputChanges:
     """Changes of the followers' messages and commands.
+
+    A command stays in the records of the aircraft from one control step to the next, while the
+    autopilots read it in each of their periods. So what is written there in a period is always
+    computed from the command as the control, or its companion, has given it, never from what is
+    there.
 
     Attributes:
         held: (n, N) of LINK, the messages that are used; None: those that arrive.
@@ -39,20 +46,28 @@ class InputChanges:
             control period.
         gain: (n, 3) factor of the commands' deviations from the steady ones.
         latency_s: (n, 3) of the commands, additional.
-        computed: (n, 3) commands of the last control step, before all this.
+        computed: (n, 3) commands that the autopilots were given last, before all this.
     """
 
     CONSTANT = True  # no state of the flight
 
-    def __init__(self, n: int, clock: Clock) -> None:
-        """Start without changes."""
+    def __init__(self, n: int, clock: Clock, *, each_period: bool = False) -> None:
+        """Start without changes.
+
+        Args:
+            n: followers.
+            clock: of the flight.
+            each_period: commands are given in each period of the autopilots, as by companions, not
+                at control steps only.
+        """
         self.held: Records | None = None
         self.messages = np.zeros((n, n + 1, 3 * len(LEADER_MESSAGE)))
+        self._clock, self._each_period = clock, each_period
         self._rate_hz = clock.base_rate_hz / clock.autopilot
-        self.added = np.zeros((clock.control // clock.autopilot, n, 3))
+        self._control_ticks = {each % clock.control for each in (0, *clock.control_phases)}
+        self.added = np.zeros((max(clock.control // clock.autopilot, 1), n, 3))
         self.computed = np.zeros((n, 3))
         self.gain, self.latency_s = np.ones((n, 3)), np.zeros((n, 3))
-        self._control_s, self._period = 0.0, 0
         self._steady: Array | None = None
         self._line = np.zeros((1, n, 3))
         self._late = np.zeros((n, 3))
@@ -77,8 +92,8 @@ class InputChanges:
         """Return the stages of the flight that make the changes."""
         return (
             UserStage("hold messages", "deliver messages", self._hold),
-            UserStage("change commands", "give commands to autopilots", self._compute),
-            UserStage("change commands", "copy the truth to the estimates", self._command),
+            UserStage("change commands", GIVE_COMMANDS, self._change_given),
+            UserStage("change commands", "copy the truth to the estimates", self._change_held),
         )
 
     def _hold(self, now: float, records: FlightRecords) -> None:
@@ -94,24 +109,33 @@ class InputChanges:
 
     def read_computed(self, aircraft: Records) -> None:
         """Read the commands that control has computed from aircraft (N,)."""
+        self._read(aircraft["control"])
+
+    def _read(self, commands: Records) -> None:
         for k, name in enumerate(COMMANDS):
-            self.computed[:, k] = aircraft["control"][name][1:]
+            self.computed[:, k] = commands[name][1:]
 
-    def _compute(self, now: float, records: FlightRecords) -> None:
-        self.read_computed(records.aircraft)
-        self._control_s, self._period = now, -1
-        self._command(now, records)
+    def _change_given(self, now: float, records: FlightRecords) -> None:
+        """Read the commands that are given in this tick, and change them if autopilots read."""
+        self._read(records.aircraft["command"])
+        tick = self._clock.ticks(now)
+        if tick % self._clock.autopilot == 0:
+            self._write(tick, records)
 
-    def _command(self, now: float, records: FlightRecords) -> None:
-        """Write the commands of a period of the autopilots, after the control step of the tick."""
-        period = int((now - self._control_s) * self._rate_hz + 1e-6)
-        if period == self._period or period >= len(self.added):
-            return
-        self._period, own = period, records.aircraft[1:]
+    def _change_held(self, now: float, records: FlightRecords) -> None:
+        """Change the commands of a period of the autopilots in which none are given."""
+        tick, clock = self._clock.ticks(now), self._clock
+        given = self._each_period or tick == 0 or tick % clock.control in self._control_ticks
+        if tick % clock.autopilot == 0 and not given:
+            self._write(tick, records)
+
+    def _write(self, tick: int, records: FlightRecords) -> None:
+        """Write the commands of a period of the autopilots."""
         commands = self.computed
         if self._steady is not None:
             commands = self._steady + self.gain * (self._delayed() - self._steady)
-        commands = commands + self.added[period]
+        commands = commands + self.added[tick // self._clock.autopilot % len(self.added)]
+        own = records.aircraft[1:]
         for k, name in enumerate(COMMANDS):
             own["command"][name] = commands[:, k]
 
@@ -127,7 +151,7 @@ class InputChanges:
 
 
 class HeldFlight:
-    """A flight of a world of `steady_scenario` whose flight models are compiled.
+    """A flight of a world of `steady_scenario`.
 
     Attributes:
         inputs: changes of messages and commands.
@@ -136,10 +160,10 @@ class HeldFlight:
 
     def __init__(self, world: World) -> None:
         """Begin the flight."""
-        assert isinstance(world.fleet, CompiledFleet), "of `steady_scenario`"
-        self.world, self.fleet = world, world.fleet
+        self.world = world
         [self.vehicles] = [each for each in world.vehicles if isinstance(each, JsbsimVehicles)]
-        self.inputs = InputChanges(len(world.followers), world.clock)
+        held = world.formation.companions is not None
+        self.inputs = InputChanges(len(world.followers), world.clock, each_period=held)
         self._flight = Flight(world, [], self.inputs.stages())
         self._flight.prepare()
         self._flight.fly_to(-math.inf)
@@ -148,6 +172,12 @@ class HeldFlight:
             step for group in range(len(control.groups)) for step in control.steps(group)
         ]
         self.dt = world.clock.control / world.clock.base_rate_hz
+
+    @property
+    def fleet(self) -> CompiledFleet:
+        """The flight models, of a flight whose models are compiled."""
+        assert isinstance(self.world.fleet, CompiledFleet), "of a compiled `steady_scenario`"
+        return self.world.fleet
 
     @property
     def time_s(self) -> float:
@@ -182,24 +212,40 @@ class HeldFlight:
         slots = world.formation.control.offsets, world.formation.altitudes
         write_formation_state(world.aircraft, world.followers, *slots)
 
+    def displace(self, distance_m: float) -> None:
+        """Move all followers to the right of their courses and down, each by this distance."""
+        truth, fleet = self.world.aircraft["truth"][1:], self.world.fleet
+        assert fleet is not None, "a flight of flight models"
+        right = course(truth["velocity_ned"]) + 0.5 * math.pi
+        shift = np.stack((np.cos(right), np.sin(right), np.ones(len(truth))), axis=-1)
+        fleet.displace(distance_m * shift)
+        copy_truth(self.world.aircraft)
+
     def respond(self, present: SavedState, periods: int, kick: Array | None = None) -> Array:
-        """Fly on from a saved present with this gain and latency, and a kick of the commands.
+        """Fly on from a saved present with this gain and latency; see `record`."""
+        present.restore()
+        return self.record(periods, kick)
+
+    def record(self, periods: int, kick: Array | None = None) -> Array:
+        """Fly on with this gain and latency, and a kick of the commands.
 
         Args:
-            present: of `save`.
             periods: K of control.
             kick: (n, 3) added to the commands for KICK_S.
 
         Returns:
-            (K, n, 5): roll and pitch, rad, and slot errors north, east and down, m.
+            (K, n, 5): roll and pitch, rad, and slot errors north, east and down, m; NaN after a
+            follower has been lost.
         """
-        present.restore()
         inputs, world = self.inputs, self.world
         inputs.read_computed(world.aircraft)  # not those of the flight before
         inputs.begin()
         rows = np.empty((periods, len(world.followers), 5))
         begin = round(self.time_s / self.dt)
         for k in range(periods):
+            if world.aircraft["stopped"][1:].any() or world.aircraft["down"][1:].any():
+                rows[k:] = math.nan
+                break
             self.write_errors()
             rows[k, :, :2] = world.aircraft["truth"]["euler"][1:, :2]
             rows[k, :, 2:] = world.followers["error_ned"]

@@ -1,10 +1,11 @@
 """Damping, settling and margins of the followers in steady flight, as flown.
 
-Each follower's roll and pitch commands get a kick of 1° for 0.2 s, one follower at a time: its
-response then has its own oscillations, not those of aircraft that it follows. Followers that do
-not influence each other share a flight. A margin is the largest factor or latency of one
-follower's roll command, found by bisection, at which its bank and pitch still come to rest. For
-settling all followers are displaced at once, as by a gust.
+Each follower's commands get a small kick, one follower at a time: its response then has its own
+oscillations, not those of aircraft that it follows. Followers that do not influence each other
+share a flight. A margin is the largest factor or latency of one command of one follower, found by
+bisection, at which its motion still comes to rest. For settling all followers are displaced at
+once, as by a gust. A response is the difference of two copies of the flight, with and without the
+kick.
 
 The circle is chosen such that the highest bank of a follower, as flown, is the one that is asked
 for. In turns everything is flown clockwise and anticlockwise, and each number is the worse one.
@@ -15,29 +16,49 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from testbed.core.errors import InputError
 from testbed.core.oscillations import Oscillation, find_oscillations
 from testbed.core.records import Array, BoolArray, Indices
 from testbed.scenario import Scenario
-from testbed.trials.steady_flight import (
-    KICK_S,
-    LONG_RECORD_S,
-    Change,
-    SteadyFlight,
-    check_measurable,
-)
+from testbed.trials.held_flight import COMMANDS, KICK_S, HeldFlight
+from testbed.trials.linear_formation import MAX_GAIN, MAX_LATENCY_S
+from testbed.trials.steady_flight import ROLL, banks_deg, fly_steadily, look_at_limits
+from testbed.vehicle.forked_trial import run_forked
 
-KICK_DEG = 1.0
+# small, so that nothing is limited and the aircraft are linear
+KICK_DEG, KICK_THROTTLE = 0.02, 2e-4
+RECORD_S = 12.0  # of the least damped oscillation
+# of a margin: slow oscillations of a late command hardly grow in a shorter time
+MARGIN_RECORD_S = 24.0
+LONG_RECORD_S = 90.0  # of a displacement
+FASTEST_HZ = 5.0  # faster oscillations are those of filters, and hardly move an aircraft
+SAMPLES_HZ = (
+    2.5 * FASTEST_HZ
+)  # of a margin's record, at least; more cost time and show nothing more
 DISPLACEMENT_M = 1.0  # to the right and down
 SETTLED = 0.05  # of the displacement
-BANK_TOLERANCE_DEG = 0.5  # between the bank that is asked for and the highest one flown
-MAX_ROLL_GAIN, MAX_ROLL_LATENCY_S = 6.0, 0.5  # largest that are tried
-GAIN_STEP, LATENCY_STEP_S = 0.05, 0.005  # resolution
+GAIN_STEP, LATENCY_STEP_S = 0.005, 0.001  # resolution, of a factor as a share of it
 LIMIT_CYCLE = 0.98  # of the amplitude a quarter of the record earlier: it does not decay
 AT_REST = 0.05  # of the largest amplitude: below it nothing is a limit cycle
+EARLY_S = 1.5  # after the kick, before which no oscillation can have reached a limit
+GROWN = 2.0  # amplitude of the last quarter of the record over that of EARLY_S
+
+
+class FlownMargins(NamedTuple):
+    """Largest factor and additional latency of one command; inf: beyond what is tried.
+
+    Attributes:
+        gain: factor, at most MAX_GAIN; 1: no margin.
+        latency_s: at most MAX_LATENCY_S.
+    """
+
+    gain: float
+    latency_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,8 +69,7 @@ class FollowerMargins:
     bank_deg: float  # as flown
     least_damped: Oscillation | None  # None: nothing oscillates
     settling_s: float | None  # until a displacement stays within 5 %; None: more than the record
-    roll_gain: float | None  # largest factor of the roll command; 1: none; None: above the largest
-    roll_latency_s: float | None  # largest additional latency of it; None: above the largest
+    commands: Mapping[str, FlownMargins]  # by the name of the command: pitch, roll, throttle
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,28 +109,38 @@ def measure_margins(scenario: Scenario, bank_deg: float, climb_mps: float = 0.0)
     Raises:
         MarginsError: the scenario or the bank cannot be measured.
     """
-    flight = _fly_steadily(scenario, bank_deg, climb_mps)
-    if flight.problem:
-        return Margins(bank_deg, (), flight.problem, "")
-    kicks, n = _Kicks(flight, scenario), len(flight.names)
-    modes = [_least_damped(each, flight.dt) for each in kicks.responses(1.0, 0.0)]
-    settling = _settling(flight)
-    gains = _largest(n, (1.0, MAX_ROLL_GAIN), GAIN_STEP, lambda x, of: kicks.dampings(x, 0.0, of))
-    latencies = _largest(
-        n, (0.0, MAX_ROLL_LATENCY_S), LATENCY_STEP_S, lambda x, of: kicks.dampings(1.0, x, of)
-    )
+    flight, problem, note = _fly(scenario, bank_deg, climb_mps)
+    if problem:
+        return Margins(bank_deg, (), problem, "")
+    copies, n = Copies(flight, independent_groups(scenario)), len(scenario.fleet)
+    banks, settling = banks_deg(flight), _settling(copies)
+    modes = [_least_damped(each, flight.dt) for each in copies.kicked(RECORD_S)]
+    found = [_margins_of(copies, k, n) for k in range(len(COMMANDS))]
     followers = tuple(
         FollowerMargins(
-            name=flight.names[i],
-            bank_deg=float(flight.bank_deg[i]),
+            name=scenario.fleet[i].name,
+            bank_deg=float(banks[i]),
             least_damped=modes[i],
             settling_s=_finite(settling[i]),
-            roll_gain=_finite(gains[i]),
-            roll_latency_s=_finite(latencies[i]),
+            commands={name: found[k][i] for k, name in enumerate(COMMANDS)},
         )
         for i in range(n)
     )
-    return Margins(bank_deg, followers, "", flight.note)
+    return Margins(bank_deg, followers, "", note)
+
+
+def _margins_of(copies: Copies, command: int, n: int) -> list[FlownMargins]:
+    """Bisect the margins of one of COMMANDS of n followers."""
+
+    def with_gain(logarithms: Array, of: BoolArray) -> Array:
+        return copies.dampings(command, np.exp(logarithms), np.zeros(n), of)
+
+    def with_latency(latencies_s: Array, of: BoolArray) -> Array:
+        return copies.dampings(command, np.ones(n), latencies_s, of)
+
+    gains = np.exp(_largest(n, math.log(MAX_GAIN), GAIN_STEP, with_gain))
+    latencies = _largest(n, MAX_LATENCY_S, LATENCY_STEP_S, with_latency)
+    return [FlownMargins(*each) for each in zip(gains.tolist(), latencies.tolist(), strict=True)]
 
 
 def worse_of(turns: Sequence[Margins]) -> Margins:
@@ -148,20 +178,23 @@ def measure_required(scenario: Scenario, required: Requirement, bank_deg: float)
     Raises:
         MarginsError: see `measure_margins`.
     """
-    flight = _fly_steadily(scenario, bank_deg)
-    found: dict[str, Any] = {"problem": flight.problem}
-    if flight.problem:
+    flight, problem, _ = _fly(scenario, bank_deg)
+    found: dict[str, Any] = {"problem": problem}
+    if problem:
         return found
-    kicks = _Kicks(flight, scenario)
-    for key, needed, gain, latency_s in (
-        ("damping", required.damping, 1.0, 0.0),
-        ("damping_at_roll_gain", required.roll_gain, required.roll_gain, 0.0),
-        ("damping_at_roll_latency", required.roll_latency_s, 1.0, required.roll_latency_s),
+    copies, n = Copies(flight, independent_groups(scenario)), len(scenario.fleet)
+    if required.damping is not None:
+        modes = [_least_damped(each, flight.dt) for each in copies.kicked(RECORD_S)]
+        found["damping"] = min(1.0 if mode is None else mode.damping for mode in modes)
+    for key, gain, latency_s in (
+        ("damping_at_roll_gain", required.roll_gain, 0.0),
+        ("damping_at_roll_latency", 1.0, required.roll_latency_s),
     ):
-        if needed is not None and gain is not None and latency_s is not None:
-            found[key] = float(kicks.dampings(gain, latency_s).min())
+        if gain is not None and latency_s is not None:
+            changed = np.full(n, gain), np.full(n, latency_s)
+            found[key] = float(copies.dampings(ROLL, *changed).min())
     if required.settling_s is not None:
-        found["settling_s"] = _finite(_settling(flight).max())
+        found["settling_s"] = _finite(_settling(copies).max())
     return found
 
 
@@ -192,32 +225,30 @@ def independent_groups(scenario: Scenario) -> list[Indices]:
     return [np.array(group) for group in groups]
 
 
-def _fly_steadily(scenario: Scenario, bank_deg: float, climb_mps: float = 0.0) -> SteadyFlight:
-    """Fly until the highest bank of a follower is the one asked for; clockwise if positive."""
-    check_measurable(scenario)
-    flight = SteadyFlight(scenario, bank_deg, climb_mps)
-    if not bank_deg:
-        return flight
-    # with sideslip an aircraft banks more than in a coordinated turn
-    excess = np.abs(flight.bank_deg).max() - abs(bank_deg)
-    if abs(excess) > BANK_TOLERANCE_DEG and math.isfinite(excess):
-        corrected = max(abs(bank_deg) - excess, 1.0)
-        flight = SteadyFlight(scenario, math.copysign(corrected, bank_deg), climb_mps)
-    return flight
+def _fly(
+    scenario: Scenario, bank_deg: float, climb_mps: float = 0.0
+) -> tuple[HeldFlight, str, str]:
+    """Fly until the highest bank of a follower is the one asked for; clockwise if positive.
+
+    Returns:
+        The flight; a problem and a note, "": none.
+    """
+    flight, problem = fly_steadily(scenario, bank_deg, climb_mps, scenario.scenario.engine)
+    return flight, *((problem, "") if problem else look_at_limits(flight))
 
 
 def _worse_of(pair: Sequence[FollowerMargins]) -> FollowerMargins:
     settling = [each.settling_s for each in pair if each.settling_s is not None]
     modes = [each.least_damped for each in pair if each.least_damped is not None]
-    gains = [each.roll_gain for each in pair if each.roll_gain is not None]
-    latencies = [each.roll_latency_s for each in pair if each.roll_latency_s is not None]
     return FollowerMargins(
         name=pair[0].name,
         bank_deg=max((each.bank_deg for each in pair), key=abs),
         least_damped=min(modes, key=lambda mode: mode.damping, default=None),
         settling_s=max(settling) if len(settling) == len(pair) else None,
-        roll_gain=min(gains, default=None),
-        roll_latency_s=min(latencies, default=None),
+        commands={
+            name: FlownMargins(*map(min, zip(*(each.commands[name] for each in pair), strict=True)))
+            for name in COMMANDS
+        },
     )
 
 
@@ -226,20 +257,17 @@ def _finite(value: float) -> float | None:
 
 
 def _largest(
-    n: int,
-    between: tuple[float, float],
-    step: float,
-    dampings: Callable[[Array, BoolArray], Array],
+    n: int, highest: float, step: float, dampings: Callable[[Array, BoolArray], Array]
 ) -> Array:
     """Return the largest values (n,) at which n followers are stable; inf: beyond the highest.
 
     Args:
         n: followers, all of which are bisected at the same time.
-        between: the lowest value, returned where nothing above it is stable, and the highest.
+        highest: value that is tried; 0 is returned where nothing above it is stable.
         step: resolution.
         dampings: least damping ratios (n,) with values (n,), of the followers that are true (n,).
     """
-    stable, unstable = (np.full(n, each) for each in between)
+    stable, unstable = np.zeros(n), np.full(n, highest)
     beyond = dampings(unstable, np.ones(n, dtype=bool)) > 0.0
     while (searched := ~beyond & (unstable - stable > step)).any():
         middle = 0.5 * (stable + unstable)
@@ -249,71 +277,147 @@ def _largest(
     return np.where(beyond, np.inf, stable)
 
 
-class _Kicks:
-    """Kicks of each follower by itself, with a factor and a latency of its roll command."""
+class Copies:
+    """Copies of the process in which a steady flight goes on with changes."""
 
-    def __init__(self, flight: SteadyFlight, scenario: Scenario) -> None:
-        self._flight, self._groups = flight, independent_groups(scenario)
-        self._still = flight.respond(Change())
-
-    def responses(
-        self, roll_gain: float | Array, roll_latency_s: float | Array, of: BoolArray | None = None
-    ) -> list[Array]:
-        """Return the responses (K, 2) of bank and pitch after the kick, rad, of each follower.
+    def __init__(self, flight: HeldFlight, groups: Sequence[Indices]) -> None:
+        """See the class.
 
         Args:
-            roll_gain: of each follower by itself.
-            roll_latency_s: the same, s.
-            of: followers (n,) that are flown, default all; the others' responses are zero.
+            flight: that is steady.
+            groups: of followers that do not influence each other; see `independent_groups`.
         """
-        n = len(self._flight.names)
-        begin = round(KICK_S / self._flight.dt) + 1
-        found = [np.zeros((2, 2))] * n
+        self.flight, self._groups, self._n = flight, groups, len(flight.world.followers)
+        self.unchanged = np.ones((self._n, 3)), np.zeros((self._n, 3))
+
+    def respond(
+        self,
+        record_s: float,
+        changes: tuple[Array, Array],
+        kicked: BoolArray | None = None,
+        displacement_m: float = 0.0,
+    ) -> Array:
+        """Fly on in a copy.
+
+        Args:
+            record_s: length of the record.
+            changes: factors and additional latencies (n, 3) of COMMANDS.
+            kicked: (n,) followers whose commands are kicked.
+            displacement_m: of all followers, to the right and down.
+
+        Returns:
+            (K, n, 5): see `HeldFlight.record`.
+
+        Raises:
+            InputError: the copy failed.
+        """
+        work = partial(self._record, record_s, changes, kicked, displacement_m)
+        done = run_forked(lambda _: work())()
+        if done.value is None:
+            raise InputError(f"a copy of the steady flight failed: {done.error or done.end}")
+        return np.array(done.value, dtype=float)
+
+    def _record(
+        self,
+        record_s: float,
+        changes: tuple[Array, Array],
+        kicked: BoolArray | None,
+        displacement_m: float,
+    ) -> list[Any]:
+        flight, kick = self.flight, None
+        flight.inputs.gain[:], flight.inputs.latency_s[:] = changes
+        if displacement_m:
+            flight.displace(displacement_m)
+        if kicked is not None:
+            size = math.radians(KICK_DEG), math.radians(KICK_DEG), KICK_THROTTLE
+            kick = np.where(kicked[:, np.newaxis], size, 0.0)
+        rows = flight.record(round(record_s / flight.dt), kick)
+        listed: list[Any] = rows.tolist()
+        return listed
+
+    def kicked(
+        self,
+        record_s: float,
+        changes: tuple[Array, Array] | None = None,
+        of: BoolArray | None = None,
+    ) -> list[Array]:
+        """Return the responses (K, 5) of each follower after a kick of it alone.
+
+        Args:
+            record_s: length of the record.
+            changes: of each follower while it is kicked; see `respond`; None: none.
+            of: followers (n,) that are flown, default all; the others' responses are zero.
+
+        Returns:
+            Of each roll and pitch, rad, and the velocities north, east and down, m/s.
+        """
+        begin = round(KICK_S / self.flight.dt) + 1
+        found = [np.zeros((2, 5))] * self._n
+        still: Array | None = None
         for group in self._groups:
             if of is not None and not of[group].any():
                 continue
-            kicked = np.isin(np.arange(n), group)
-            change = Change(
-                kick_deg=np.where(kicked, KICK_DEG, 0.0),
-                roll_gain=np.where(kicked, roll_gain, 1.0),
-                roll_latency_s=np.where(kicked, roll_latency_s, 0.0),
-            )
-            difference = (self._flight.respond(change) - self._still)[begin:, :2]
+            kicked = np.isin(np.arange(self._n), group)
+            present = self.unchanged
+            if changes is not None:
+                those = kicked[:, np.newaxis]
+                gain, latency_s = changes
+                present = np.where(those, gain, 1.0), np.where(those, latency_s, 0.0)
+            if still is None or changes is not None:
+                still = self.respond(record_s, present)
+            difference = self.respond(record_s, present, kicked) - still
+            # without the slow return to the slot
+            velocity = np.diff(difference[..., 2:], axis=0) / self.flight.dt
+            moving = np.concatenate((difference[1:, :, :2], velocity), axis=-1)[begin:]
             for i in group:
-                found[i] = difference[..., i]
+                found[i] = moving[:, i]
         return found
 
     def dampings(
-        self, roll_gain: float | Array, roll_latency_s: float | Array, of: BoolArray | None = None
+        self, command: int, gain: Array, latency_s: Array, of: BoolArray | None = None
     ) -> Array:
-        """Return the least damping ratio (n,) of each of these responses; see `_damping`."""
-        responses = self.responses(roll_gain, roll_latency_s, of)
-        return np.array([_damping(each, self._flight.dt) for each in responses])
+        """Return the least damping ratio (n,) of each follower; see `_damping`.
+
+        Args:
+            command: row of COMMANDS that each follower has changed while it is kicked.
+            gain: (n,) factors.
+            latency_s: (n,) s, additional.
+            of: followers (n,) that are flown.
+        """
+        gains, latencies = (each.copy() for each in self.unchanged)
+        gains[:, command], latencies[:, command] = gain, latency_s
+        responses = self.kicked(MARGIN_RECORD_S, (gains, latencies), of)
+        return np.array([_damping(each, self.flight.dt) for each in responses])
 
 
 def _least_damped(response: Array, dt: float) -> Oscillation | None:
-    found = find_oscillations(response, dt)
+    """Return the least damped oscillation of bank and pitch in a response (K, 5)."""
+    found = find_oscillations(response[:, :2], dt)
     return found[0] if found else None
 
 
 def _damping(response: Array, dt: float) -> float:
-    """Return the least damping ratio in a response (K, 2) of bank and pitch; 1: no oscillation."""
+    """Return the least damping ratio in a response (K, 5); 1: no oscillation."""
     if not np.isfinite(response).all():
         return -1.0
-    least = _least_damped(response, dt)
-    damping = 1.0 if least is None else least.damping
-    # limits of the commands turn a growing oscillation into one of constant amplitude
-    quarters = [np.abs(each).max() for each in np.array_split(response[:, 0], 4) if len(each)]
+    stride = max(1, math.floor(1.0 / (dt * SAMPLES_HZ) + 1e-9))
+    found = find_oscillations(response[::stride], stride * dt)
+    found = [each for each in found if each.frequency_hz < FASTEST_HZ]
+    damping = found[0].damping if found else 1.0
+    # limits of the commands turn a growing oscillation into one of constant amplitude, or nearly so
+    bank = np.abs(response[:, 0])
+    quarters = [each.max() for each in np.array_split(bank, 4) if len(each)]
     rings = quarters[-1] > max(LIMIT_CYCLE * quarters[-2], AT_REST * max(quarters))
-    return min(damping, 0.0) if rings else damping
+    early = bank[: max(1, round(EARLY_S / dt))].max()
+    return min(damping, 0.0) if rings or quarters[-1] > GROWN * early else damping
 
 
-def _settling(flight: SteadyFlight) -> Array:
+def _settling(copies: Copies) -> Array:
     """Return the times (n,), s, after which a displacement stays within 5 %; inf: never."""
-    still = flight.respond(Change(record_s=LONG_RECORD_S))
-    moved = flight.respond(Change(displacement_m=DISPLACEMENT_M, record_s=LONG_RECORD_S))
-    error = np.linalg.norm((moved - still)[:, 2:], axis=1) / (math.sqrt(2.0) * DISPLACEMENT_M)
+    still = copies.respond(LONG_RECORD_S, copies.unchanged)
+    moved = copies.respond(LONG_RECORD_S, copies.unchanged, displacement_m=DISPLACEMENT_M)
+    error = np.linalg.norm((moved - still)[..., 2:], axis=-1) / (math.sqrt(2.0) * DISPLACEMENT_M)
     outside = ~(error <= SETTLED)
     after_last = len(error) - np.argmax(outside[::-1], axis=0)
-    times = np.where(outside.any(axis=0), after_last, 0) * flight.dt
+    times = np.where(outside.any(axis=0), after_last, 0) * copies.flight.dt
     return np.where(outside[-1], np.inf, times)

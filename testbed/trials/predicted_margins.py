@@ -10,11 +10,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
-from testbed.core.records import Array
+from testbed.core.compile import is_interpreted
 from testbed.flight.world import World
-from testbed.plan.world import build
 from testbed.scenario import Scenario
 from testbed.trials.delay_margin import DelayMargin, delay_margins
 from testbed.trials.held_flight import COMMANDS, HeldFlight
@@ -24,21 +21,9 @@ from testbed.trials.linear_formation import (
     join,
 )
 from testbed.trials.period_map import PeriodMaps, linearise_periods
-from testbed.trials.steady_flight import (
-    LONGEST_SETTLE_S,
-    LOOK_S,
-    SETTLE_S,
-    STEADY_DEG,
-    MarginsError,
-    check_measurable,
-    check_roll_limits,
-    steady_scenario,
-)
+from testbed.trials.steady_flight import MarginsError, banks_deg, fly_steadily
+from testbed.vehicle.compiled_fleet import CompiledFleet
 
-BANK_TOLERANCE_DEG = 0.5  # between the bank that is asked for and the highest one flown
-RECENTRE_S = 2.0
-# then an unstable flight is linearised, before it leaves its steady state
-UNSTABLE_STEADY_DEG = 0.02
 AIRSPEED_S = 0.1  # period of the autopilots' airspeed filters
 
 
@@ -88,14 +73,13 @@ def predict_margins(scenario: Scenario, bank_deg: float, climb_mps: float = 0.0)
 
     Raises:
         MarginsError: the scenario cannot be flown so, see `check_measurable`, or not linearised.
-        InputError: an aircraft has no compiled flight model.
     """
-    flight, problem = fly_steadily(scenario, bank_deg, climb_mps)
+    flight, problem = fly_linearisable(scenario, bank_deg, climb_mps)
     if problem:
         return Prediction(bank_deg, (), problem)
     maps = linearise(flight)
     formation = join(maps)
-    banks = np.degrees(flight.world.aircraft["truth"]["euler"][1:, 0])
+    banks = banks_deg(flight)
     followers = []
     for i, name in enumerate(formation.names):
         modes = tuple(formation.of(i).modes())
@@ -146,110 +130,61 @@ def linearise(flight: HeldFlight) -> PeriodMaps:
     return linearise_periods(flight, ticks // clock.control)
 
 
-def fly_steadily(
+class NotLinearisable(MarginsError):
+    """A scenario whose followers cannot be linearised.
+
+    Attributes:
+        problem: why.
+        remedy: what to write in the scenario.
+    """
+
+    def __init__(self, problem: str, remedy: str) -> None:
+        """See the class."""
+        super().__init__(problem, remedy)
+        self.problem, self.remedy = problem, remedy
+
+    def __str__(self) -> str:
+        """Return the message."""
+        return f"{self.problem}, so the formation cannot be linearised ({self.remedy})"
+
+
+def fly_linearisable(
     scenario: Scenario, bank_deg: float, climb_mps: float = 0.0
 ) -> tuple[HeldFlight, str]:
-    """Fly until the highest bank of a follower is the one asked for.
-
-    Args:
-        scenario: whose formation, network and controller they have.
-        bank_deg: the highest of a follower; clockwise if positive; 0: straight.
-        climb_mps: of the leader, m/s.
+    """Fly a formation that can be linearised until it is steady; see `fly_steadily`.
 
     Raises:
         MarginsError: see `predict_margins`.
-
-    Returns:
-        The flight, and what is not steady in it; "": it is.
     """
-    check_measurable(scenario)
-    flight, problem = _settle(scenario, bank_deg, climb_mps)
-    banks = np.degrees(flight.world.aircraft["truth"]["euler"][1:, 0])
-    excess = float(np.abs(banks).max() - abs(bank_deg))
-    if bank_deg and abs(excess) > BANK_TOLERANCE_DEG and math.isfinite(excess):
-        corrected = math.copysign(max(abs(bank_deg) - excess, 1.0), bank_deg)
-        flight, problem = _settle(scenario, corrected, climb_mps)
-    return flight, problem
+    # with "compiled" the loader's own error has a remedy that is of no use here
+    engine = "compiled" if is_interpreted() else "auto"
+    return fly_steadily(scenario, bank_deg, climb_mps, engine, _check_linearisable)
 
 
 def _check_linearisable(world: World) -> None:
     """Check that the state of the followers is known, and the same at each control step.
 
     Raises:
-        MarginsError: it is not; with what to write.
+        NotLinearisable: it is not; with what to write.
     """
     clock, formation = world.clock, world.formation
     phases = {*clock.control_phases, *clock.broadcast_phases}
-    if not formation.built_control.builtin:
+    if world.fleet is not None and not isinstance(world.fleet, CompiledFleet):
+        problem, remedy = world.fleet.engine_reason, "write another aircraft, such as rascal110"
+    elif not formation.built_control.builtin:
         problem = "a law of your own has a state that is not known"
+        remedy = "write controller.law: hbh23"
     elif formation.companions is not None:
-        problem = "companion computers hold commands back"
+        problem, remedy = (
+            "companion computers hold commands back",
+            "write controller.companion: {state_latency_s: 0, command_latency_s: 0}",
+        )
     elif phases != {0} or clock.broadcast != clock.control:
         problem = "messages are not sent at each control step"
+        remedy = "write rates.broadcast_hz as control_hz, and synchronous: true"
     elif world.is_random:
         problem = "the network is random"
+        remedy = "write a network without chance: delay_s alone"
     else:
         return
-    raise MarginsError(
-        f"{problem}, so the formation cannot be linearised (margins: write --method flown)"
-    )
-
-
-def _settle(scenario: Scenario, bank_deg: float, climb_mps: float) -> tuple[HeldFlight, str]:
-    world = build(steady_scenario(scenario, bank_deg, "compiled", climb_mps))
-    _check_linearisable(world)
-    check_roll_limits(world, abs(bank_deg))
-    flight = HeldFlight(world)
-    return flight, settle(flight)
-
-
-def settle(flight: HeldFlight) -> str:
-    """Fly until the banks are steady, also where that flight is unstable.
-
-    Returns:
-        Why they are not; "": they are.
-    """
-    moved_deg = np.array([math.inf])
-    while flight.time_s < LONGEST_SETTLE_S and not moved_deg.max() < STEADY_DEG:
-        flight.fly_to(flight.time_s + SETTLE_S - LOOK_S)
-        moved_deg, _ = _look(flight, LOOK_S)
-    if not moved_deg.max() < STEADY_DEG:
-        moved_deg = _settle_unstable(flight)
-    # also one that has been lost on the way, and moves no more
-    gone = flight.world.aircraft["down"][1:] | flight.world.aircraft["stopped"][1:]
-    if gone.any():
-        return f"not steady: {flight.world.names[1 + int(gone.argmax())]} has been lost"
-    if moved_deg.max() < STEADY_DEG:
-        return ""
-    worst = int(np.nan_to_num(moved_deg, nan=np.inf).argmax())
-    name = flight.world.names[1 + worst]
-    return f"not steady: the bank of {name} still changes by {moved_deg[worst]:.1f}°"
-
-
-def _settle_unstable(flight: HeldFlight) -> Array:
-    """Fly on to a steady flight that is unstable; return how much banks (n,) move, degrees.
-
-    Deviations of the commands from their mean over the time before are halved: the steady flight
-    is the same, and the loops have half their gain.
-    """
-    inputs, moved_deg = flight.inputs, np.array([math.inf])
-    _, mean = _look(flight, RECENTRE_S)
-    for _ in range(round(LONGEST_SETTLE_S / RECENTRE_S)):
-        inputs.gain[:] = 0.5
-        inputs.begin(mean)
-        moved_deg, mean = _look(flight, RECENTRE_S)
-        if moved_deg.max() < UNSTABLE_STEADY_DEG:
-            break
-    inputs.end()
-    return moved_deg
-
-
-def _look(flight: HeldFlight, duration_s: float) -> tuple[Array, Array]:
-    """Fly on; return how much banks move (n,), degrees, and the mean commands (n, 3)."""
-    banks, commands = [], []
-    for _ in range(round(duration_s / flight.dt)):
-        flight.fly_to(flight.time_s + flight.dt)
-        banks.append(flight.world.aircraft["truth"]["euler"][1:, 0].copy())
-        commands.append(flight.inputs.computed.copy())
-    moved_deg: Array = np.degrees(np.ptp(np.array(banks), axis=0))
-    return moved_deg, np.mean(commands, axis=0)
+    raise NotLinearisable(problem, remedy)

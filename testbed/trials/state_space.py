@@ -15,7 +15,7 @@ from testbed.scenario.validate import shown_value
 from testbed.trials.frequency_response import AXES, LEADER_SIZE
 from testbed.trials.held_flight import COMMANDS, LEADER_MESSAGE, HeldFlight
 from testbed.trials.linear_formation import LinearFormation, join
-from testbed.trials.predicted_margins import fly_steadily
+from testbed.trials.predicted_margins import fly_linearisable
 from testbed.trials.predicted_margins import linearise as linearise_flight
 from testbed.trials.steady_flight import MarginsError
 
@@ -86,7 +86,7 @@ def fly_or_refuse(scenario: Scenario, bank_deg: float, climb_mps: float) -> Held
             raise InputError(
                 f"{name}: is {shown_value(value)} (write a number from {-largest:g} to {largest:g})"
             )
-    flight, problem = fly_steadily(scenario, bank_deg, climb_mps)
+    flight, problem = fly_linearisable(scenario, bank_deg, climb_mps)
     if problem:
         raise MarginsError(f"{problem} (write a smaller bank_deg or climb_mps)")
     return flight

@@ -23,7 +23,7 @@ from testbed.trials.frequency_response import StraightFormation
 from testbed.trials.held_flight import HeldFlight
 from testbed.trials.linear_formation import LinearFollower, average
 from testbed.trials.period_map import PeriodMaps
-from testbed.trials.predicted_margins import fly_steadily, linearise
+from testbed.trials.predicted_margins import fly_linearisable, linearise
 from testbed.trials.steady_flight import MarginsError, check_measurable, steady_scenario
 
 # The integral of the course moves steady slot errors by centimetres for minutes.
@@ -60,7 +60,7 @@ def linearise_straight(scenario: Scenario) -> StraightFormation:
 
 
 def _fly_straight(scenario: Scenario) -> HeldFlight:
-    flight, problem = fly_steadily(scenario, 0.0)
+    flight, problem = fly_linearisable(scenario, 0.0)
     if problem:
         raise MarginsError(problem)
     flight.fly_to(max(flight.time_s, SETTLED_S))
@@ -93,7 +93,7 @@ def _check_alike(scenario: Scenario) -> None:
     """
     why = f"more than {MOST_LINEARISED} followers are linearised as alike"
     # without what steady flight leaves out, such as sensors
-    fleet = steady_scenario(scenario, 0.0).fleet
+    fleet = steady_scenario(scenario, 0.0, "compiled").fleet
     first = _without_place(fleet[0])
     for k, each in enumerate(fleet):
         if _without_place(each) != first:

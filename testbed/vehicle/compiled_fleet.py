@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,9 +12,10 @@ import numpy as np
 from testbed.core.call_list import Call, Step
 from testbed.core.compile import entry, is_interpreted, prepare
 from testbed.core.errors import InputError
+from testbed.core.frames import FOOT
 from testbed.core.records import Array, BoolArray, ByteArray, Indices, NedOrigin, Records, Values
 from testbed.vehicle.compiled import CompiledAircraft, NotTranslated
-from testbed.vehicle.compiled.columns import AIR_INPUTS
+from testbed.vehicle.compiled.columns import AIR_INPUTS, START
 from testbed.vehicle.compiled.proof import Proof, prove_aircraft
 from testbed.vehicle.compiled.rows import write_air as write_air_numbers
 from testbed.vehicle.compiled.rows import write_motion
@@ -222,6 +224,16 @@ class CompiledFleet(FlightModels):
                 more = float(charge[i]) - row[columns[_CHARGE]]
                 row[columns[_INITIAL_CHARGE]] += min(more, 0.0)
 
+    def displace(self, shift_ned: Array) -> None:
+        """See `FlightModels`."""
+        at = START["position"]
+        for each in self._kinds:
+            for i in each.which.tolist():
+                row = each.state[i]
+                to_inertial = _inertial_from_ned(self._origin, float(row[START["earth_angle"]]))
+                row[at : at + 3] += to_inertial @ shift_ned[i] / FOOT
+        self.write_motion()
+
     def _run_models(self, which: Indices, ticks: int, read: Indices) -> None:
         if self._changed[CONTROLS]:
             self._lead_controls(which)
@@ -251,6 +263,13 @@ class CompiledFleet(FlightModels):
 
     def _leave(self, which: Iterable[int]) -> None:
         self._status[list(which)] = _LEFT
+
+
+def _inertial_from_ned(origin: NedOrigin, earth_angle: float) -> Array:
+    """Return the rotation (3, 3) of vectors at the origin to inertial axes."""
+    lat, lon = math.radians(origin.latitude_deg), math.radians(origin.longitude_deg) + earth_angle
+    sl, cl, so, co = math.sin(lat), math.cos(lat), math.sin(lon), math.cos(lon)
+    return np.array([[-co * sl, -so, -co * cl], [-so * sl, co, -so * cl], [cl, 0.0, -sl]])
 
 
 @entry

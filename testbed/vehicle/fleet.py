@@ -314,6 +314,10 @@ class FlightModels:
         """
         raise NotImplementedError
 
+    def displace(self, shift_ned: Array) -> None:
+        """Move all aircraft by (N, 3) m, without a change of their velocities."""
+        raise NotImplementedError
+
     def remove(self, rows: BoolArray) -> None:
         """Stop stepping lost aircraft (N,); they keep their last motion."""
         for i in np.flatnonzero(rows & ~self._stopped).tolist():
@@ -425,11 +429,10 @@ class JsbsimFleet(FlightModels):
             self._models[i].power.discharge(float(charge[i]))
 
     def displace(self, shift_ned: Array) -> None:
-        """Move all aircraft by (N, 3) m, without a change of their velocities."""
+        """See `FlightModels`."""
         for model, shift in zip(self._models, shift_ned.tolist(), strict=True):
             model.displace(shift, self._origin)
-        self._read_numbers(range(len(self._models)))
-        self._write_truth(self.all_rows)
+        self.write_motion()
 
     def _run_models(self, which: Indices, ticks: int, read: Indices) -> None:
         """See `FlightModels`.

@@ -11,6 +11,7 @@ import testbed
 from testbed.core.errors import InputError
 from testbed.plan.world import build
 from testbed.scenario import load_scenario
+from testbed.trials import delay_margin
 from testbed.trials.delay_margin import delay_margins
 from testbed.trials.held_flight import HeldFlight
 from testbed.trials.linear_formation import join
@@ -81,6 +82,17 @@ def test_delay_margin_has_the_poles_of_the_map(maps):
     [margin] = delay_margins(maps)
     assert join(delayed(maps, margin.delay_s)).is_stable()
     assert not join(delayed(maps, margin.delay_s + maps.dt)).is_stable()
+
+
+def test_counts_are_sure_with_few_frequencies(maps, monkeypatch):
+    """Where the determinant turns far between two frequencies, others are added between them."""
+    [margin] = delay_margins(maps)
+    monkeypatch.setattr(delay_margin, "_FREQUENCIES", 25)
+    [refined] = delay_margins(maps)
+    assert refined.delay_s == pytest.approx(margin.delay_s, abs=1e-9)
+    monkeypatch.setattr(delay_margin, "_LARGEST_TURN", math.inf)
+    [coarse] = delay_margins(maps)
+    assert abs(coarse.delay_s - margin.delay_s) > 0.1
 
 
 def test_no_message_delay_without_a_cycle():

@@ -9,7 +9,14 @@ import pytest
 from testbed.plan.world import build
 from testbed.scenario import load_scenario
 from testbed.trials.held_flight import HeldFlight
-from testbed.trials.linear_formation import average, join
+from testbed.trials.linear_formation import (
+    FREQUENCIES,
+    MAX_GAIN,
+    MIN_GAIN,
+    _margins_of,
+    average,
+    join,
+)
 from testbed.trials.predicted_margins import linearise
 from testbed.trials.steady_flight import steady_scenario
 
@@ -34,11 +41,11 @@ class Linearised:
         self.maps = linearise(self.flight)
         self.formation = join(self.maps)
 
-    def respond(self, follower, periods, *, gain=1.0, latency_s=0.0):
+    def respond(self, follower, periods, *, command=ROLL, gain=1.0, latency_s=0.0):
         """Return the response (K, n, 5) of a flight to a kick of one follower."""
         inputs, n = self.flight.inputs, len(self.formation.names)
         inputs.end()
-        inputs.gain[follower, ROLL], inputs.latency_s[follower, ROLL] = gain, latency_s
+        inputs.gain[follower, command], inputs.latency_s[follower, command] = gain, latency_s
         still = self.flight.respond(self.start, periods)
         kick = np.zeros((n, 3))
         kick[follower, :2] = KICK
@@ -120,22 +127,16 @@ def test_average_has_the_poles_of_the_product(turn):
         assert np.abs(exact - pole).min() < 0.01 * abs(pole)
 
 
-def test_latency_margin_is_that_of_flights(turn):
-    """A follower's oscillation decays below it, and grows above it."""
-    margin = turn.formation.margins(0)[ROLL].latency_s
-    assert 0.2 < margin < 0.8
+@pytest.mark.parametrize("command", range(3))
+@pytest.mark.parametrize("what", ["gain", "latency_s"])
+def test_margin_is_that_of_flights(turn, command, what):
+    """A follower's oscillation decays below the margin of a command, and grows above it."""
+    margin = getattr(turn.formation.margins(0)[command], what)
+    assert 2.0 < margin < 8.0 if what == "gain" else 0.1 < margin < 0.95
     for factor, grows in ((0.93, False), (1.07, True)):
-        response = np.abs(turn.respond(0, 500, latency_s=factor * margin)[:, 0, 0])
-        assert bool(response[-100:].max() > response[150:250].max()) is grows
-
-
-def test_gain_margin_is_that_of_flights(turn):
-    """The same of the factor of the roll command."""
-    margin = turn.formation.margins(0)[ROLL].gain
-    assert 2.0 < margin < 8.0
-    for factor, grows in ((0.93, False), (1.07, True)):
-        response = np.abs(turn.respond(0, 500, gain=factor * margin)[:, 0, 0])
-        assert bool(response[-100:].max() > response[150:250].max()) is grows
+        flown = turn.respond(0, 600, command=command, **{what: factor * margin})[:, 0, :2]
+        response = np.abs(flown).max(axis=1)
+        assert bool(response[-150:].max() > response[200:350].max()) is grows
 
 
 def test_phase_margin_and_distance_of_the_loop(turn):
@@ -144,3 +145,57 @@ def test_phase_margin_and_distance_of_the_loop(turn):
     chord = 2.0 * math.sin(0.5 * math.radians(margins.phase_deg))
     assert margins.distance <= chord + 1e-3
     assert margins.distance <= 1.0 - 1.0 / margins.gain + 1e-3
+
+
+DT = 0.04
+Z = np.exp(1j * np.pi * FREQUENCIES)
+
+
+@pytest.mark.parametrize("k", [0.25, 0.5, 1.5])
+def test_margins_of_an_integrator_by_hand(k):
+    """L = k / (z - 1): a pole leaves at z = -1, so the factor is 2 / k; |L| is 1 at 2 asin k/2."""
+    margins = _margins_of(k / (Z - 1.0), DT, stable=True)
+    assert margins.gain == pytest.approx(2.0 / k, rel=1e-3)
+    assert margins.least_gain == 0.0
+    crossing = 2.0 * math.asin(0.5 * k)
+    phase = 0.5 * math.pi - 0.5 * crossing
+    assert margins.phase_deg == pytest.approx(math.degrees(phase), rel=1e-3)
+    assert margins.latency_s == pytest.approx(phase / crossing * DT, rel=1e-3)
+
+
+def conditional(k, square, real, b):
+    """Return L = k (z - b) / (z² - real z + square), which is unstable open where square > 1.
+
+    Closed, with a factor g, the product of the poles is square - g k b; a pole leaves at z = -1
+    where 1 + real - g k + square - g k b is 0.
+    """
+    return k * (Z - b) / (Z**2 - real * Z + square)
+
+
+def test_least_gain_of_a_loop_by_hand():
+    """A loop that is unstable open needs a factor, and bears one: (square - 1) / k b to 6.03."""
+    margins = _margins_of(conditional(0.4, 1.02, 1.6, 0.5), DT, stable=True)
+    assert margins.least_gain == pytest.approx(0.02 / 0.2, rel=1e-3)
+    assert margins.gain == pytest.approx(3.62 / 0.6, rel=1e-3)
+
+
+def test_gains_nearest_to_one_are_the_margins():
+    """Of several crossings of the real axis: two of their factors below 1, two above it."""
+    real = np.interp(np.arange(len(Z)), (0, 200, 600, 1200, 1800, 2999), (9, 8, 2, 0.5, 0.25, 0.2))
+    turns = np.interp(np.arange(len(Z)), (0, 200, 600, 1200, 1800, 2999), (0.5, 1, 3, 5, 7, 7.5))
+    margins = _margins_of(real * np.exp(1j * np.pi * turns), DT, stable=True)
+    assert margins.least_gain == pytest.approx(0.5, rel=1e-3)
+    assert margins.gain == pytest.approx(2.0, rel=1e-3)
+
+
+def test_margins_beyond_what_is_tried_and_unstable_loops():
+    """Neither a factor above MAX_GAIN nor one below MIN_GAIN; an unstable loop has none."""
+    slow = _margins_of(1.9 / MAX_GAIN / (Z - 1.0), DT, stable=True)
+    assert math.isinf(slow.gain) and slow.least_gain == 0.0
+    index, least = np.arange(len(Z)), 0.5 * MIN_GAIN
+    size = np.interp(index, (0, 200, 210, 1200, 2999), (2.0 / least, 1.0 / least, 2.0, 0.5, 0.2))
+    turns = np.interp(index, (0, 200, 210, 1200, 2999), (0.5, 1.0, 1.1, 3.0, 4.5))
+    weak = _margins_of(size * np.exp(1j * np.pi * turns), DT, stable=True)
+    assert weak.least_gain == 0.0 and weak.gain == pytest.approx(2.0, rel=1e-3)
+    unstable = _margins_of(conditional(0.4, 1.02, 1.6, 0.5), DT, stable=False)
+    assert unstable[:4] == (1.0, 1.0, 0.0, 0.0)
