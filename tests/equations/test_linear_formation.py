@@ -188,7 +188,7 @@ def test_gains_nearest_to_one_are_the_margins():
     assert margins.gain == pytest.approx(2.0, rel=1e-3)
 
 
-def test_margins_beyond_what_is_tried_and_unstable_loops():
+def test_margins_beyond_what_is_tried():
     """Neither a factor above MAX_GAIN nor one below MIN_GAIN; an unstable loop has none."""
     slow = _margins_of(1.9 / MAX_GAIN / (Z - 1.0), DT, stable=True)
     assert math.isinf(slow.gain) and slow.least_gain == 0.0
