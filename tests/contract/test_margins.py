@@ -122,11 +122,12 @@ def write_what_is_there(self, tick, records):
 
 
 def test_margins_need_the_command_as_given(turn, copies, monkeypatch):
-    """A factor that acts in each period of a held command is squared: half the margin grows."""
-    half = 0.5 * turn[1].margins(0)[ROLL].gain
-    assert half**2 > 1.2 * turn[1].margins(0)[ROLL].gain
-    changed = ROLL, np.full(3, half), np.zeros(3), FIRST
-    assert copies.dampings(*changed)[0] > 0.05
+    """A factor that acts again on a held command is squared in each second period of autopilots."""
+    margin = turn[1].margins(0)[ROLL].gain
+    factor = 0.65 * margin
+    assert 0.5 * (factor + factor**2) > 1.2 * margin
+    changed = ROLL, np.full(3, factor), np.zeros(3), FIRST
+    assert copies.dampings(*changed)[0] > 0.02
     monkeypatch.setattr(InputChanges, "_write", write_what_is_there)
     assert copies.dampings(*changed)[0] <= 0.0
 
@@ -214,7 +215,8 @@ def test_displacement_is_that_of_both_engines(scenario):
     compiled, jsbsim = moved
     assert np.abs(compiled[:, 2]) == pytest.approx(2.0, abs=1e-3)
     assert np.linalg.norm(compiled, axis=1) == pytest.approx(2.0 * math.sqrt(2.0), abs=1e-3)
-    assert jsbsim == pytest.approx(compiled, abs=2e-3)
+    # JSBSim moves it down along the radius of the Earth, 0.2° from the vertical
+    assert jsbsim == pytest.approx(compiled, abs=1e-2)
 
 
 def test_largest_is_bisected_for_each_follower():
@@ -325,7 +327,7 @@ def test_a_turn_at_the_limit_has_no_room_for_kicks(turn, monkeypatch):
     reserve = "testbed.trials.steady_flight.ROLL_RESERVE_DEG"
     monkeypatch.setattr(reserve, 50.0 - 0.5 * (uav1 + uav2))
     problem, _ = look_at_limits(turn[0])
-    assert problem == "uav2 and uav3 are too near the limit of the bank for kicks"
+    assert problem == "uav2, uav3 are too near the limit of the bank for kicks"
 
 
 @pytest.mark.parametrize(
