@@ -14,7 +14,7 @@ from testbed.scenario import load_scenario
 from testbed.trials import delay_margin
 from testbed.trials.delay_margin import delay_margins
 from testbed.trials.held_flight import HeldFlight
-from testbed.trials.linear_formation import join
+from testbed.trials.linear_formation import average, join
 from testbed.trials.predicted_margins import linearise
 from testbed.trials.state_space import state_space
 from testbed.trials.steady_flight import steady_scenario
@@ -86,13 +86,18 @@ def test_delay_margin_has_the_poles_of_the_map(maps):
 
 def test_counts_are_sure_with_few_frequencies(maps, monkeypatch):
     """Where the determinant turns far between two frequencies, others are added between them."""
-    [margin] = delay_margins(maps)
-    monkeypatch.setattr(delay_margin, "_FREQUENCIES", 25)
-    [refined] = delay_margins(maps)
-    assert refined.delay_s == pytest.approx(margin.delay_s, abs=1e-9)
-    monkeypatch.setattr(delay_margin, "_LARGEST_TURN", math.inf)
-    [coarse] = delay_margins(maps)
-    assert abs(coarse.delay_s - margin.delay_s) > 0.1
+    followers = [average(each) for each in maps.followers]
+
+    def counts(frequencies, largest_turn):
+        monkeypatch.setattr(delay_margin, "_FREQUENCIES", frequencies)
+        monkeypatch.setattr(delay_margin, "_LARGEST_TURN", largest_turn)
+        loop = delay_margin._MessageLoop(maps, followers, [0, 1, 2])
+        return [loop.count_unstable(periods) for periods in range(0, 50, 4)]
+
+    sure = counts(3000, 0.5)
+    assert sure[0] == 0 and sure[-1] >= 2
+    assert counts(12, 0.5) == sure
+    assert counts(12, math.inf) != sure
 
 
 def test_no_message_delay_without_a_cycle():
