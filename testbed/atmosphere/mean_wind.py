@@ -6,6 +6,7 @@ It is uniform in the horizontal. Heights are above the ground, in m.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import log
 from pathlib import Path
@@ -16,6 +17,7 @@ import numpy as np
 from testbed.core.compile import jitable
 from testbed.core.csv_table import CsvTable, read_table
 from testbed.core.errors import InputError
+from testbed.core.ranges import CLOCK, GUST_SPEED, WIND_COMPONENT, WIND_FROM, WIND_SPEED, Range
 from testbed.core.records import Array, Record, Records, Vector, allocate, record_of, write_fields
 
 UNIFORM, LOGARITHMIC, POWER = range(3)  # kinds of profile
@@ -179,6 +181,12 @@ def _interval(rows: Records, time: float) -> int:
 BY_AXES = ("north_mps", "east_mps")
 BY_DIRECTION = ("speed_mps", "from_deg")
 DOWN = "down_mps"
+COLUMNS: Mapping[str, Range] = {
+    "t_s": CLOCK,
+    **dict.fromkeys(BY_AXES, WIND_COMPONENT),
+    **dict(zip(BY_DIRECTION, (WIND_SPEED, WIND_FROM), strict=True)),
+    DOWN: GUST_SPEED,
+}
 
 
 class RecordedWind(NamedTuple):
@@ -206,7 +214,7 @@ def read_wind(path: Path, max_gap: float, duration: float) -> RecordedWind:
     table = read_table(path)
     horizontal = _horizontal_columns(table)
     vertical = (DOWN,) if DOWN in table.header else ()
-    data = table.numbers(("t_s", *horizontal, *vertical))
+    data = table.numbers({name: COLUMNS[name] for name in ("t_s", *horizontal, *vertical)})
     if len(data) < 2:
         raise InputError(f"{path}: {len(data)} rows of numbers; a recording needs at least two")
     remedy = "fill in the missing rows, or raise air.wind.max_gap_s"
@@ -222,10 +230,8 @@ def read_wind(path: Path, max_gap: float, duration: float) -> RecordedWind:
     velocity = np.zeros((len(data), 3))
     if horizontal == BY_AXES:
         velocity[:, :2] = data[:, 1:3]
+        table.check_range("horizontal speed", np.hypot(*data[:, 1:3].T), WIND_SPEED)
     else:
-        for row in np.flatnonzero(data[:, 1] < 0.0):
-            text = f"speed_mps is {data[row, 1]:g}; write it without its sign, or turn from_deg"
-            raise table.error_at(int(row) + 1, text)
         velocity[:] = wind_from_direction(data[:, 1], np.radians(data[:, 2]))
     if vertical:
         velocity[:, 2] = data[:, 3]

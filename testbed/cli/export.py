@@ -85,6 +85,7 @@ def export_command(
 
     Columns have the names of the log's topics and fields, with their units.
     """
+    from testbed.core.identifiers import changed_names
     from testbed.core.start_time import start_unix_ns
     from testbed.logs.file_record import check_default_output, record_output
     from testbed.logs.flight_data import FlightData
@@ -123,6 +124,9 @@ def export_command(
             write(file)
     record_output(path, default=out is None)
     messages.write_line(describe_file(path, content))
+    if form is Format.ROS2 and (changed := changed_names(flight.names)):
+        listed = ", ".join(f"{name} is /{found}" for name, found in changed)
+        messages.write_line(f"names that ROS 2 does not allow: {listed}")
 
 
 def _write_scene_log(flight: FlightData, path: Path) -> None:

@@ -127,7 +127,9 @@ def _origin_of(scenario: str) -> NedOrigin:
 def _mapped_flight(motion: Motion, notes: tuple[str, ...]) -> ImportedFlight:
     from testbed.mavlink.flight_import import ImportedFlight
 
-    return ImportedFlight(motion.columns, motion.sources, {}, notes, ("CSV file",))
+    return ImportedFlight(
+        motion.columns, motion.sources, {}, (*motion.notes, *notes), ("CSV file",)
+    )
 
 
 def _complete(

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ import numpy as np
 from testbed.core.errors import InputError
 from testbed.core.input_files import MAX_TABLE_BYTES, quote_word, read_bounded_text
 from testbed.core.numbers import parse_number
+from testbed.core.ranges import Range
 from testbed.core.records import Array
 
 MAX_ROWS = 2_000_000
@@ -32,12 +33,15 @@ class CsvTable:
     rows: tuple[tuple[str, ...], ...]  # (M,)
     lines: tuple[int, ...]  # (1 + M,) of the header and the rows in the file, counted from 1
 
-    def numbers(self, columns: Sequence[str]) -> Array:
+    def numbers(self, columns: Mapping[str, Range]) -> Array:
         """These columns (M, len(columns)).
+
+        Args:
+            columns: names with the ranges of their values.
 
         Raises:
             InputError: a column is missing or repeated, a row is not as long as the header, or a
-                cell of these columns is not a finite number.
+                cell of these columns is not a finite number, or out of its range.
         """
         missing = [name for name in columns if name not in self.header]
         if missing:
@@ -59,7 +63,30 @@ class CsvTable:
             [self._number(k, row[i], self.header[i]) for i in at]
             for k, row in enumerate(self.rows, start=1)
         ]
-        return np.array(values, dtype=np.float64).reshape(len(values), len(at))
+        found = np.array(values, dtype=np.float64).reshape(len(values), len(at))
+        for k, (name, limits) in enumerate(columns.items()):
+            self.check_range(name, found[:, k], limits)
+            found[:, k] = limits.clip(found[:, k])
+        return found
+
+    def check_range(self, name: str, values: Array, limits: Range) -> None:
+        """Check that values (M,) of all rows are in their range.
+
+        Raises:
+            InputError: naming the first row outside.
+        """
+        outside = limits.outside(values)
+        if outside.any():
+            k = int(np.argmax(outside))
+            raise self.error_at(k + 1, limits.problem(name, float(values[k])))
+
+    def select(self, rows: Sequence[int]) -> CsvTable:
+        """Return a table of these rows, counted from 0."""
+        return replace(
+            self,
+            rows=tuple(self.rows[k] for k in rows),
+            lines=(self.lines[0], *(self.lines[k + 1] for k in rows)),
+        )
 
     def column(self, name: str) -> list[str]:
         """A column as it is written (M,)."""

@@ -12,7 +12,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from testbed.core.compile import jitable
-from testbed.core.records import Array, NedOrigin
+from testbed.core.records import Array, BoolArray, NedOrigin
 
 _ScalarsT = TypeVar("_ScalarsT", float, Array)
 
@@ -67,6 +67,16 @@ def wrap_longitude(longitude: _ScalarsT, half_turn: float) -> _ScalarsT:
     rest = np.fmod(longitude, turn)  # exact, as are the sums
     wrapped: _ScalarsT = rest - turn * (rest >= half_turn) + turn * (rest < -half_turn)
     return wrapped
+
+
+def has_position(latitude: Array, longitude: Array) -> BoolArray:
+    """Mask positions (…) that are known: finite, and not at 0°, 0°.
+
+    Receivers and autopilots write 0, 0 until they know one.
+    """
+    known = np.isfinite(latitude) & np.isfinite(longitude)
+    found: BoolArray = known & ((latitude != 0.0) | (longitude != 0.0))
+    return found
 
 
 @jitable

@@ -11,13 +11,13 @@ from testbed.core.csv_table import CsvTable, read_table
 from testbed.core.errors import InputError
 from testbed.core.frames import euler_rates, wrap_pi
 from testbed.core.interpolation import hermite
+from testbed.core.ranges import RECORDED
 from testbed.core.records import Array
 
 COLUMNS = tuple(
     "t_s north_m east_m down_m v_north_mps v_east_mps v_down_mps roll_rad pitch_rad yaw_rad "
     "p_radps q_radps r_radps airspeed_mps throttle".split()
 )
-_MAX_PITCH = 0.5 * np.pi + 1e-3  # rad; a thousandth for rounding
 _MAX_JUMP_M, _MAX_SHARE = 3.0, 0.5  # beyond what the velocity explains, and of that
 MAX_GAP_S = 1.0  # between two rows, for cubic interpolation
 
@@ -59,7 +59,7 @@ def read_recording(path: Path) -> RecordedFlight:
         InputError: the file is not such a recording; the message has file, line and remedy.
     """
     table = read_table(path)
-    data = table.numbers(COLUMNS)
+    data = table.numbers({name: RECORDED[name] for name in COLUMNS})
     if len(data) < 2:
         raise InputError(f"{path}: {len(data)} rows of numbers; a flight needs at least two")
     table.check_time_steps(data[:, 0], MAX_GAP_S, "cut here")
@@ -77,15 +77,11 @@ def read_recording(path: Path) -> RecordedFlight:
 
 
 def _check_motion(table: CsvTable, data: Array) -> None:
-    """Check that the rows are of one flight and in these units: positions go where velocities lead.
+    """Check that the rows are of one flight: positions go where velocities lead.
 
     Raises:
         InputError: naming the row.
     """
-    steep = np.abs(data[:, 8]) > _MAX_PITCH
-    if steep.any():
-        k = int(np.argmax(steep))
-        raise table.error_at(k + 1, f"pitch_rad is {data[k, 8]:g}; write radians, up to π/2")
     elapsed = np.diff(data[:, 0])
     velocity = 0.5 * (data[1:, 4:7] + data[:-1, 4:7])
     speed = np.linalg.norm(velocity, axis=1)

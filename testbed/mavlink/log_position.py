@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from testbed.core.geodetic import geodetic_from_ned, ned_from_geodetic
+from testbed.core.geodetic import geodetic_from_ned, has_position, ned_from_geodetic
 from testbed.core.interpolation import hermite
 from testbed.core.records import Array, BoolArray, NedOrigin
 from testbed.mavlink.flight_log import (
@@ -31,7 +31,13 @@ POSITION = ("latitude_deg", "longitude_deg", "height_m")
 HORIZONTAL = ("v_north_mps", "v_east_mps")
 UNIX = "unix_s"
 GPS_EPOCH_S = 315_964_800.0  # s from 1970 to 1980-01-06, when GPS time began
-LEAP_S = 18.0  # GPS time ahead of UTC since 2017-01-01
+# UNIX time from which GPS time is so many seconds ahead of UTC: 2009-01-01, 2012-07-01, 2015-07-01
+# and 2017-01-01. Source: Leap_Second.dat of the IERS, TAI - UTC, less the 19 s of TAI - GPS; its
+# Bulletin C says twice a year whether there is another one.
+LEAP_SECONDS = ((1_230_768_000, 15), (1_341_100_800, 16), (1_435_708_800, 17), (1_483_228_800, 18))
+FIRST_WEEK = 1563  # of GPS time, from 2009-12-20: ArduPlane has no earlier logs
+_ROLLOVER = 1024  # weeks, after which old receivers count from the begin again
+_LATER = f"GPS.GWk/GMS, {_ROLLOVER} weeks later"
 MAX_GAP_S = 1.0  # between two positions, for cubic interpolation
 _WEEK_S = 604_800.0
 _MAX_CLOCK_SPREAD = 0.05  # s about the median of UNIX time minus log time, without a note
@@ -94,7 +100,7 @@ def read_positions(log: FlightLog, sources: MotionSources) -> LogPosition:
             continue
         scales = (fields.angle_scale, fields.angle_scale, fields.height_scale)
         columns = [table.fields[name] for name in names]
-        known = np.isfinite(columns).all(axis=0) & ((columns[0] != 0.0) | (columns[1] != 0.0))
+        known = np.isfinite(columns).all(axis=0) & has_position(*columns[:2])
         known &= np.concatenate([[True], np.diff(table.time) > 0.0])
         if known.any():
             geodetic = np.stack(columns, axis=-1)[known] * scales
@@ -134,15 +140,25 @@ def gps_clock(log: FlightLog) -> LogSeries:
     table = log.tables.get("GPS")
     if table is None or not table.fields.keys() >= {"GWk", "GMS"}:
         raise Unavailable("no GPS with GWk and GMS")
-    week, ms = table.fields["GWk"], table.fields["GMS"]
+    week, ms = table.fields["GWk"].copy(), table.fields["GMS"]
     valid = np.isfinite(week) & np.isfinite(ms) & (week > 0.0)
     if "Status" in table.fields:
         valid &= table.fields["Status"] >= _FIX_3D
     if not valid.any():
         raise Unavailable("GPS has no time of a fix")
-    unix = GPS_EPOCH_S + _WEEK_S * week[valid] + 1e-3 * ms[valid] - LEAP_S
+    early = valid & (week < FIRST_WEEK)
+    week[early] += _ROLLOVER * np.ceil((FIRST_WEEK - week[early]) / _ROLLOVER)
+    unix = unix_from_gps(_WEEK_S * week[valid] + 1e-3 * ms[valid])
     time = table.time[valid]
-    return LogSeries("GPS.GWk/GMS", time, unix - time)
+    return LogSeries(_LATER if early.any() else "GPS.GWk/GMS", time, unix - time)
+
+
+def unix_from_gps(gps_s: Array) -> Array:
+    """Return UNIX times (…) of GPS times (…) since 1980-01-06, both s, from 2009 on."""
+    since, seconds = np.array(LEAP_SECONDS, dtype=np.float64).T
+    after = np.searchsorted(since + seconds, GPS_EPOCH_S + gps_s, side="right") - 1
+    unix: Array = GPS_EPOCH_S + gps_s - seconds[np.maximum(after, 0)]
+    return unix
 
 
 def system_time_clock(log: FlightLog) -> LogSeries:
@@ -202,8 +218,18 @@ def unix_time(log: FlightLog, time: Array) -> tuple[Array | None, str, tuple[str
         if (flown := log.of_same_flight(clock, time)) is not None:
             offset = float(np.median(flown.values))
             spread = float(np.max(np.abs(flown.values - offset)))
-            note = f"{UNIX}: {clock.source}, which varies by up to {spread:.3f} s about the median"
-            return time + offset, clock.source, (note,) if spread > _MAX_CLOCK_SPREAD else ()
+            notes = []
+            if clock.source == _LATER:
+                notes.append(
+                    f"{UNIX}: GPS.GWk has weeks before {FIRST_WEEK}, in 2009, when there was no "
+                    "ArduPlane: the receiver counts weeks from the begin again; taken as "
+                    f"{_ROLLOVER} weeks later"
+                )
+            if spread > _MAX_CLOCK_SPREAD:
+                notes.append(
+                    f"{UNIX}: {clock.source}, which varies by up to {spread:.3f} s about the median"
+                )
+            return time + offset, clock.source, tuple(notes)
     if log.receiver_start_unix_s is None:
         return None, "", ()
     source = "times of receipt"

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from testbed.core import ranges
 from testbed.core.csv_table import read_table
 from testbed.core.records import Array, BoolArray, Records, allocate
 from testbed.network import delays
@@ -48,6 +49,7 @@ from testbed.scenario.network import (
 )
 from testbed.scenario.references import find_data
 
+COLUMNS: Mapping[str, ranges.Range] = {"delay_s": ranges.ADDED_DELAY}  # of a file of delays
 NETEM_LONGEST_S = 0x7FFFFFFF / delays.NANOSECONDS  # netem has 32 bits for a jitter
 
 
@@ -207,10 +209,10 @@ def _read_quantiles(file: str, delay: float, *, netem: bool) -> Array:
     """Return the quantiles (TABLE_STEPS + 1,) s of a file of delays.
 
     Raises:
-        InputError: it cannot be read, has no rows, or gives negative delays.
+        InputError: it cannot be read, has no rows, or gives negative or too long delays.
     """
     table = read_table(find_data(file))
-    samples = table.numbers(["delay_s"])[:, 0]
+    samples = table.numbers(COLUMNS)[:, 0]
     if not samples.size:
         raise table.error_at(0, "no rows; write at least one delay_s below the header")
     least = int(samples.argmin())
@@ -219,6 +221,14 @@ def _read_quantiles(file: str, delay: float, *, netem: bool) -> Array:
             least + 1,
             f"delay_s {samples[least]:g} s plus the scenario's {delay:g} s is negative: "
             "messages would arrive before they are sent (write a longer delay_s in the scenario)",
+        )
+    most = int(samples.argmax())
+    if delay + samples[most] > ranges.DELAY.high:
+        raise table.error_at(
+            most + 1,
+            f"delay_s {samples[most]:g} s plus the scenario's {delay:g} s is above "
+            f"{ranges.DELAY.high:g} s, the most that {ranges.DELAY.key} allows (write s, or remove "
+            "the row)",
         )
     return delays.quantiles(samples)
 

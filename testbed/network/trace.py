@@ -7,8 +7,7 @@ share its time: links that failed together fail together.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
@@ -18,11 +17,13 @@ from numpy.typing import NDArray
 
 from testbed.core.csv_table import CsvTable, read_table
 from testbed.core.random import named_stream
+from testbed.core.ranges import CLOCK, DELAY, Range
 from testbed.core.records import Array
 from testbed.network.links import PairLinks
 from testbed.scenario.references import find_data
 
 ENDS = ("source", "destination")
+COLUMNS: Mapping[str, Range] = {"sent_s": CLOCK, "received_s": CLOCK}  # less each other: `DELAY`
 
 
 class LinkTrace(NamedTuple):
@@ -116,9 +117,9 @@ class TraceFile:
     def __init__(self, path: Path) -> None:
         """See the class."""
         table = read_table(path)
-        table.numbers(())  # every row is as long as the header
-        if "sent_s" not in table.header or "received_s" not in table.header:
-            missing = [name for name in ("sent_s", "received_s") if name not in table.header]
+        table.numbers({})  # every row is as long as the header
+        missing = [name for name in COLUMNS if name not in table.header]
+        if missing:
             raise table.error_at(
                 0, f"missing column {', '.join(missing)}; write sent_s and received_s in the header"
             )
@@ -158,7 +159,7 @@ class TraceFile:
     @cached_property
     def _traces(self) -> dict[tuple[str, ...], LinkTrace]:
         """Return the traces by source and destination; of a file of one link by ()."""
-        each = {pair: _messages(_select(self._table, rows)) for pair, rows in self._links.items()}
+        each = {pair: _messages(self._table.select(rows)) for pair, rows in self._links.items()}
         times = [sent for sent, _ in each.values()]
         earliest, latest = min(sent[0] for sent in times), max(sent[-1] for sent in times)
         lap = max(np.ptp(sent) + np.median(np.diff(sent)) for sent in times)
@@ -166,22 +167,15 @@ class TraceFile:
         return {pair: _trace(*messages, float(earliest), span) for pair, messages in each.items()}
 
 
-def _select(table: CsvTable, rows: Sequence[int]) -> CsvTable:
-    return replace(
-        table,
-        rows=tuple(table.rows[k] for k in rows),
-        lines=(table.lines[0], *(table.lines[k + 1] for k in rows)),
-    )
-
-
 def _messages(table: CsvTable) -> tuple[Array, Array]:
     """Return transmission times (K,) and delays (K,) of a table of one link, s."""
-    sent = table.numbers(["sent_s"])[:, 0]
+    sent_column, received_column = ({name: limits} for name, limits in COLUMNS.items())
+    sent = table.numbers(sent_column)[:, 0]
     if len(sent) < 2:
         raise table.error_at(0, "fewer than two rows; a trace needs two, to have a rate")
     arrived = [k for k, text in enumerate(table.column("received_s")) if text]
     delay = np.full(len(sent), np.inf)
-    delay[arrived] = _select(table, arrived).numbers(["received_s"])[:, 0] - sent[arrived]
+    delay[arrived] = table.select(arrived).numbers(received_column)[:, 0] - sent[arrived]
     steps = np.diff(sent)
     if (steps <= 0.0).any():
         k = int(np.argmax(steps <= 0.0))
@@ -197,6 +191,15 @@ def _messages(table: CsvTable) -> tuple[Array, Array]:
             k + 1,
             f"received {-delay[k]:.6g} s before it was sent; correct received_s by the difference "
             "of the clocks",
+        )
+    late = np.isfinite(delay) & DELAY.outside(delay)
+    if late.any():
+        k = int(np.argmax(late))
+        raise table.error_at(
+            k + 1,
+            f"received {delay[k]:.12g} s after it was sent, and {DELAY.key} allows up to "
+            f"{DELAY.high:g} s: correct received_s by the difference of the clocks of sender and "
+            "receiver, or leave it empty: the message is lost",
         )
     return sent, delay
 

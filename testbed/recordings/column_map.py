@@ -2,6 +2,7 @@
 
 # No `from __future__ import annotations`: see scenario/fields.py.
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -11,6 +12,7 @@ from pydantic import Field, model_validator
 from testbed.core.csv_table import read_table
 from testbed.core.errors import InputError
 from testbed.core.frames import FOOT
+from testbed.core.ranges import CLOCK, RECORDED
 from testbed.core.records import Array
 from testbed.mavlink.log_position import POSITION, UNIX
 from testbed.recordings.motion import (
@@ -22,8 +24,9 @@ from testbed.recordings.motion import (
     complete,
     default_origin,
     find_contradiction,
+    with_known_positions,
 )
-from testbed.scenario.fields import Finding, Section, raise_findings
+from testbed.scenario.fields import Finding, Number, Section, raise_findings
 from testbed.scenario.problems import did_you_mean
 from testbed.scenario.validate import validate
 from testbed.scenario.yaml_io import Node, error_at, read, walk
@@ -63,6 +66,10 @@ class _MappedColumn(Section):
 
     column: ColumnName = Field(description="Its name in the first line of the file.")
     sign: Sign = 1
+    no_value: Number | None = Field(
+        None,
+        description="Number of the file that stands for no value; rows with it are left out.",
+    )
 
 
 class TimeColumn(_MappedColumn):
@@ -196,7 +203,15 @@ def read_mapped(path: Path, map_path: Path) -> Motion:
                 (name, "column"),
             )
     order = list(dict.fromkeys(each.column for each in chosen.values()))
-    numbers = table.numbers(order)
+    numbers = table.numbers(dict.fromkeys(order, CLOCK))  # in other units: `check_map` follows
+    has_values = np.ones(len(numbers), dtype=bool)
+    for each in chosen.values():
+        if each.no_value is not None:
+            has_values &= numbers[:, order.index(each.column)] != each.no_value
+    notes: tuple[str, ...] = ()
+    if not has_values.all():
+        notes = (f"rows with no_value are left out: {np.count_nonzero(~has_values)}",)
+        table, numbers = table.select(np.flatnonzero(has_values).tolist()), numbers[has_values]
     if len(numbers) < 2:
         raise InputError(f"{path}: {len(numbers)} rows of numbers; a flight needs at least two")
     found: dict[str, Array] = {}
@@ -210,9 +225,11 @@ def read_mapped(path: Path, map_path: Path) -> Motion:
     if "t_s" not in found:
         found["t_s"], sources["t_s"] = found[UNIX] - found[UNIX][0], f"{UNIX} since the first row"
     table.check_time_steps(found["t_s"], np.inf, "")
-    motion = Motion({"t_s": found["t_s"], **found}, sources)
+    motion = Motion({"t_s": found["t_s"], **found}, sources, notes=notes)
+    motion = with_known_positions(motion, str(path))
     check_map(motion, tree)
-    return motion
+    clipped = {name: RECORDED[name].clip(values) for name, values in motion.columns.items()}
+    return replace(motion, columns=clipped)
 
 
 def check_map(motion: Motion, tree: Node) -> None:

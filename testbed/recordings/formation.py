@@ -107,9 +107,11 @@ def write_formation(
         advance: called with the number of samples that are written and of all.
 
     Raises:
-        InputError: there is no time at which all aircraft have data.
+        InputError: there is no time at which all aircraft have data, or time 0 is more than a day
+            before it.
         LogError: the directory or the log cannot be written.
     """
+    _check_start(tracks, start_unix_s)
     plan = resolve(scenario)
     clock = build_clock(scenario)
     ticks, sections = _common_ticks(tracks, clock.base_rate_hz, clock.log, max(begin, 0.0), end)
@@ -144,6 +146,16 @@ def write_formation(
     write_json(directory / METRICS_NAME, metrics)
     record_files(directory, SCENARIO_NAME, LOG_NAME, METRICS_NAME)
     return FormationRun(directory, metrics, tuple(tracks), start_unix_s, sections)
+
+
+def _check_start(tracks: Sequence[Track], start_unix_s: float) -> None:
+    """Check that time 0 is at most as long before all logs have begun as a run lasts."""
+    first = max(float(each.time[0]) for each in tracks)
+    if first > MAX_DURATION_S:
+        raise InputError(
+            f"time 0 is {iso_time(start_unix_s)}, and all logs have begun {first:,.0f} s later, at "
+            f"{iso_time(start_unix_s + first)}; write --start with a time at most a day earlier"
+        )
 
 
 def _common_ticks(

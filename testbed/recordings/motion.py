@@ -13,7 +13,8 @@ import numpy as np
 from testbed.core.csv_table import read_table
 from testbed.core.errors import InputError
 from testbed.core.frames import body_rates, course, flight_path_angle, turn_bank, wrap_pi
-from testbed.core.geodetic import ned_from_geodetic
+from testbed.core.geodetic import DEGREES, has_position, ned_from_geodetic, wrap_longitude
+from testbed.core.ranges import ORIGIN_ELEVATION, RECORDED, TURN, Range
 from testbed.core.records import Array, BoolArray, NedOrigin
 from testbed.guidance.recorded_path import MAX_GAP_S
 from testbed.mavlink.log_position import POSITION, UNIX
@@ -25,6 +26,7 @@ EULER = ("roll_rad", "pitch_rad", "yaw_rad")
 RATES = ("p_radps", "q_radps", "r_radps")
 # Names of the same values in recordings for `testbed respond`.
 ALIASES = {"phi_rad": "roll_rad", "theta_rad": "pitch_rad", "psi_rad": "yaw_rad"}
+_HEADINGS = ("yaw_rad", "psi_rad")  # which count no turns in recordings of formations
 PULSES = ("pwm_ail", "pwm_ele", "pwm_thr", "pwm_rud")
 COMMANDS = ("theta_cmd_rad", "phi_cmd_rad", "throttle_cmd")
 MAX_AWAY_M = 50_000.0  # from the origin of the flat frame
@@ -38,15 +40,9 @@ _FORMATS = {
     **dict.fromkeys(POSITION[:2], ".9f"),
     **dict.fromkeys((POSITION[2], *NED), ".4f"),
 }  # others have six digits
-_LIMITS = {
-    **dict.fromkeys(EULER, (2.0 * np.pi + 1e-3, "unit: deg")),
-    "pitch_rad": (0.5 * np.pi + 1e-3, "unit: deg"),
-    **dict.fromkeys((*VELOCITY, "airspeed_mps"), (340.0, "another unit")),
-    **dict.fromkeys(RATES, (35.0, "unit: deg/s")),
-    "throttle": (1.01, "unit: '%'"),
-    "latitude_deg": (90.0, "another unit or column"),
-    "longitude_deg": (360.0, "another unit or column"),
-}  # largest magnitude, and what a map of columns should say instead
+# What a map of columns should say instead, by the unit of a value out of range.
+_OTHER_UNITS = {"rad": "unit: deg", "rad/s": "unit: deg/s", "": "unit: '%'"}
+_COLUMNS = ("t_s", UNIX, *POSITION, *NED, *VELOCITY, *EULER, *RATES, "airspeed_mps", "throttle")
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,13 +165,34 @@ def _complete_attitude(
 def _check_distance(ned: Array, geodetic: Array, origin: NedOrigin) -> None:
     away = float(np.max(np.abs(ned)))
     if away > MAX_AWAY_M:
-        latitude, longitude, height = geodetic[0].tolist()
+        text = f"the flight is up to {1e-3 * away:,.0f} km from the origin, {_words(origin)}"
+        better = _central_origin(geodetic)
+        apart = np.max(np.abs(ned_from_geodetic(geodetic, better)[:, :2]), axis=1)
+        if apart.max() <= MAX_AWAY_M:
+            raise InputError(
+                f"{text}; write another one: scenario.origin: {{latitude_deg: "
+                f"{better.latitude_deg:.6f}, longitude_deg: {better.longitude_deg:.6f}, "
+                f"elevation_m: {better.elevation_m:.0f}}}"
+            )
+        row = int(apart.argmax())
         raise InputError(
-            f"the flight is up to {1e-3 * away:,.0f} km from the origin, "
-            f"{origin.latitude_deg:g}°, {origin.longitude_deg:g}°; write another one: "
-            f"scenario.origin: {{latitude_deg: {latitude:.6f}, longitude_deg: {longitude:.6f}, "
-            f"elevation_m: {height:.0f}}}"
+            f"{text}, and position {row + 1} of {len(apart)} is {1e-3 * apart[row]:,.0f} km from "
+            f"the middle of all, {_words(better)}; a flat frame has at most "
+            f"{1e-3 * MAX_AWAY_M:.0f} km: remove the rows whose position is wrong"
         )
+
+
+def _central_origin(geodetic: Array) -> NedOrigin:
+    """Return an origin at the median of positions (M, 3), on the ground below them."""
+    first = geodetic[0, 1]
+    east = wrap_longitude(geodetic[:, 1] - first, DEGREES)
+    longitude = float(wrap_longitude(first + np.median(east), DEGREES))
+    lowest = float(ORIGIN_ELEVATION.clip(geodetic[:, 2]).min())
+    return NedOrigin(float(np.median(geodetic[:, 0])), longitude, lowest)
+
+
+def _words(origin: NedOrigin) -> str:
+    return f"{origin.latitude_deg:g}°, {origin.longitude_deg:g}°"
 
 
 def find_contradiction(motion: Motion) -> tuple[str, str] | None:
@@ -185,9 +202,10 @@ def find_contradiction(motion: Motion) -> tuple[str, str] | None:
         Its name and what is wrong; None: nothing is.
     """
     columns = motion.columns
-    for name, (largest, remedy) in _LIMITS.items():
-        if name in columns and (found := float(np.max(np.abs(columns[name])))) > largest:
-            return name, f"is up to {found:g}, above {largest:.4g}; write {remedy}"
+    for name, values in columns.items():
+        limits = TURN if name in _HEADINGS else RECORDED[name]
+        if limits.outside(values).any():
+            return name, _out_of_range(values, limits)
     if not columns.keys() >= {*NED, *VELOCITY}:
         return None
     elapsed = np.diff(columns["t_s"])
@@ -220,6 +238,17 @@ def find_contradiction(motion: Motion) -> tuple[str, str] | None:
             "write another sign or column"
         )
     return None
+
+
+def _out_of_range(values: Array, limits: Range) -> str:
+    """Describe values (M,) out of a range, and what a map of columns should say instead."""
+    high, low = float(values.max()), float(values.min())
+    remedy = _OTHER_UNITS.get(limits.unit, "another unit or column")
+    found = f"is up to {high:g}, above {limits.high:.4g}"
+    worst = high
+    if not high > limits.high + limits.slack:
+        found, worst = f"is down to {low:g}, below {limits.low:.4g}", low
+    return f"{found}; write {remedy}, or no_value: {worst:g} if this stands for no value"
 
 
 def longest_section(motion: Motion, begin: float, end: float) -> tuple[Motion, tuple[str, ...]]:
@@ -268,13 +297,44 @@ def read_csv(path: Path) -> Motion:
         InputError: it is no such file; the message has file, line and remedy.
     """
     table = read_table(path)
-    known = ("t_s", UNIX, *POSITION, *NED, *VELOCITY, *EULER, *RATES, "airspeed_mps", "throttle")
-    names = [name for name in (*known, *COMMANDS, *PULSES) if name in table.header]
+    names = [name for name in (*_COLUMNS, *COMMANDS, *PULSES) if name in table.header]
     if "t_s" not in names:
         raise table.error_at(0, "missing column t_s; `testbed import --columns MAP.yaml` makes it")
-    numbers = table.numbers(names)
+    numbers = table.numbers({name: RECORDED[name] for name in names})
     if len(numbers) < 2:
         raise InputError(f"{path}: {len(numbers)} rows of numbers; a flight needs at least two")
     table.check_time_steps(numbers[:, 0], np.inf, "")
     columns = dict(zip(names, numbers.T, strict=True))
-    return Motion(columns, dict.fromkeys(names, path.name))
+    return with_known_positions(Motion(columns, dict.fromkeys(names, path.name)), str(path))
+
+
+def with_known_positions(motion: Motion, file: str) -> Motion:
+    """Leave out rows of a file at 0°, 0°, and wrap longitudes to −180° to 180°.
+
+    Receivers write latitude and longitude 0 until they know their position.
+
+    Raises:
+        InputError: fewer than two rows are left.
+    """
+    if not motion.columns.keys() >= {*POSITION[:2]}:
+        return motion
+    known = has_position(*(motion.columns[name] for name in POSITION[:2]))
+    found = motion.rows(known) if not known.all() else motion
+    longitude = found.columns[POSITION[1]]
+    if not RECORDED[POSITION[1]].outside(longitude).any():  # an error of the caller's
+        longitude = wrap_longitude(longitude, DEGREES)
+        found = replace(found, columns={**found.columns, POSITION[1]: longitude})
+    missing = int(np.count_nonzero(~known))
+    if missing > len(known) - 2:
+        raise InputError(
+            f"{file}: {POSITION[0]} and {POSITION[1]} are 0 in {missing} of {len(known)} rows: the "
+            "receiver knew no position (name columns of another source)"
+        )
+    if missing:
+        at = motion.columns["t_s"][~known]
+        note = (
+            "rows at latitude and longitude 0, where the receiver knew no position, are left out: "
+            f"{missing}, t_s {at[0]:g} to {at[-1]:g}"
+        )
+        found = replace(found, notes=(*found.notes, note))
+    return found

@@ -4,6 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from testbed.core.ranges import GUST_SPEED, WIND_FROM, WIND_SPEED
 from testbed.scenario.fields import (
     SMALLEST,
     Celsius,
@@ -16,6 +17,7 @@ from testbed.scenario.fields import (
     Number,
     Seconds,
     Section,
+    within,
 )
 from testbed.scenario.reference_fields import DataReference
 
@@ -23,7 +25,7 @@ _REFERENCE = "Height above the ground at the origin where the wind has speed_mps
 _SHAPE = "ramp: rise to velocity_mps as half a cosine and stay; pulse: rise and fall back."
 Sigma = Annotated[MetresPerSecond, Field(ge=0, le=30)]
 ScaleLength = Annotated[Number, Field(ge=1, le=100_000, json_schema_extra={"unit": "m"})]
-GustSpeed = Annotated[MetresPerSecond, Field(ge=-60, le=60)]
+GustSpeed = Annotated[MetresPerSecond, within(GUST_SPEED)]
 GustVelocity = tuple[GustSpeed, GustSpeed, GustSpeed]
 
 
@@ -62,13 +64,11 @@ Profile = Annotated[UniformProfile | LogProfile | PowerProfile, Field(discrimina
 class Wind(Section):
     """Mean wind, constant or recorded; the same at all points of one height."""
 
-    speed_mps: MetresPerSecond = Field(
-        0.0, ge=0, le=60, description="Speed at the reference height of the profile, m/s."
+    speed_mps: Annotated[MetresPerSecond, within(WIND_SPEED)] = Field(
+        0.0, description="Speed at the reference height of the profile, m/s."
     )
-    from_deg: Degrees = Field(
+    from_deg: Annotated[Degrees, within(WIND_FROM)] = Field(
         0.0,
-        ge=-360,
-        le=360,
         description="Direction the wind blows from, degrees clockwise from north.",
     )
     profile: Profile = Field(

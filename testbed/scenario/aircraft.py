@@ -15,9 +15,9 @@ from pydantic import (
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
+from testbed.core.ranges import VELOCITY
 from testbed.scenario.faults import AnyFault
 from testbed.scenario.fields import (
-    MAX_SPEED_MPS,
     SMALLEST,
     Degrees,
     Duration,
@@ -32,6 +32,7 @@ from testbed.scenario.fields import (
     Section,
     Speed,
     Whole,
+    within,
 )
 from testbed.scenario.reference_fields import AircraftReference, DataReference, TuneReference
 from testbed.scenario.sensors import TRUTH, Sensors
@@ -232,8 +233,8 @@ class Straight(Section):
     """Straight line at constant speed."""
 
     kind: Literal["straight"] = Field(description="Straight line.")
-    climb_mps: MetresPerSecond = Field(
-        0.0, ge=-MAX_SPEED_MPS, le=MAX_SPEED_MPS, description="Vertical speed, m/s."
+    climb_mps: Annotated[MetresPerSecond, within(VELOCITY)] = Field(
+        0.0, description="Vertical speed, m/s."
     )
 
 
@@ -253,8 +254,8 @@ class Circle(Section):
     direction: Literal["clockwise", "anticlockwise"] = Field(
         "clockwise", description="Direction of the turn, seen from above."
     )
-    climb_mps: MetresPerSecond = Field(
-        0.0, ge=-MAX_SPEED_MPS, le=MAX_SPEED_MPS, description="Vertical speed, m/s."
+    climb_mps: Annotated[MetresPerSecond, within(VELOCITY)] = Field(
+        0.0, description="Vertical speed, m/s."
     )
 
     @model_serializer(mode="wrap")

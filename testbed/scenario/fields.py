@@ -19,6 +19,9 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from testbed.core.numbers import SMALLEST as SMALLEST
+from testbed.core.ranges import MAX_DISTANCE_M as MAX_DISTANCE_M
+from testbed.core.ranges import MAX_SPEED_MPS as MAX_SPEED_MPS
+from testbed.core.ranges import Range
 from testbed.core.start_time import start_unix_ns
 
 KeyPath = tuple[str | int, ...]
@@ -68,13 +71,18 @@ StartTime = Annotated[str, AfterValidator(_readable_time)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=64)]
 
 # Bounds of what no scenario needs more of: each number of a file has its own, or one of these.
-MAX_DISTANCE_M = 1e6  # a flat frame on the earth ends far below
+# Those of columns of files, too, are in core/ranges.py.
 MAX_DURATION_S = 86_400  # a day
-MAX_SPEED_MPS = 340.0  # of sound; the flight models are subsonic
 MAX_RATE_PER_S = 1000.0  # gains of 1/s act within a millisecond
 MAX_LOOP_GAIN = 100.0  # rad per rad, or throttle per m/s: full command for a hundredth of a unit
 MAX_WEIGHT = 1e6  # ratios of gains, and parameters of functions
 # A number that must be positive has SMALLEST as its lower bound, never `gt=0`.
+
+
+def within(limits: Range) -> Any:  # noqa: ANN401 - the type of pydantic's `Field`
+    """Return the bounds of a key that files can stand for."""
+    return Field(ge=limits.low, le=limits.high)
+
 
 Metres = Annotated[
     Number, Field(ge=-MAX_DISTANCE_M, le=MAX_DISTANCE_M, json_schema_extra={"unit": "m"})

@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, RootModel
 
+from testbed.core.ranges import THROTTLE
 from testbed.scenario.arguments import with_changes
 from testbed.scenario.fields import (
     SMALLEST,
@@ -16,6 +17,7 @@ from testbed.scenario.fields import (
     Section,
     Speed,
     ZeroOrUsable,
+    within,
 )
 
 CourseFeedback = Literal["outside_arctangent", "inside_arctangent"]
@@ -152,8 +154,8 @@ class MiddleLoopGains(Section):
     eta_bank: LoopGain = Field(
         0.0, description="η_φ of (21): throttle fraction for the added drag of a turn."
     )
-    trim_throttle: Number = Field(
-        ge=0, le=1, description="η_0 of (21): throttle fraction at the trim airspeed."
+    trim_throttle: Annotated[Number, within(THROTTLE)] = Field(
+        description="η_0 of (21): throttle fraction at the trim airspeed."
     )
     trim_airspeed_mps: Speed = Field(ge=SMALLEST, description="s_a0 of (21), m/s.")
     rate_filter_s: Annotated[Duration, Field(ge=0), ZeroOrUsable] = Field(

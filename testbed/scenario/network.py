@@ -15,6 +15,7 @@ from pydantic import (
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
+from testbed.core.ranges import DELAY
 from testbed.scenario.fields import (
     MAX_DISTANCE_M,
     SMALLEST,
@@ -26,6 +27,7 @@ from testbed.scenario.fields import (
     Whole,
     ZeroOrUsable,
     is_number,
+    within,
 )
 from testbed.scenario.reference_fields import DataReference
 
@@ -248,7 +250,7 @@ class Trace(Section):
 class Link(Section):
     """One directed link; a key that is left out is as for all links."""
 
-    delay_s: Annotated[Seconds, Field(ge=0, le=60)] | None = Field(
+    delay_s: Annotated[Seconds, within(DELAY)] | None = Field(
         None, description="Latency of every message, s."
     )
     jitter: Jitter | None = Field(
@@ -349,7 +351,7 @@ class Network(Link):
     """Radio between the aircraft: the link of all pairs, and differences for some."""
 
     # defaults of every link
-    delay_s: Annotated[Seconds, Field(ge=0, le=60)] = Field(
+    delay_s: Annotated[Seconds, within(DELAY)] = Field(
         0.0, description="Latency of every message, s."
     )
     message_bytes: Annotated[Whole, Field(ge=1, le=65_535)] = Field(

@@ -5,6 +5,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field, model_validator
 
+from testbed.core.ranges import ORIGIN_ELEVATION, ORIGIN_LATITUDE, ORIGIN_LONGITUDE
 from testbed.core.start_time import EXAMPLE
 from testbed.scenario.air import Air
 from testbed.scenario.aircraft import Follower, Leader
@@ -26,6 +27,7 @@ from testbed.scenario.fields import (
     Speed,
     StartTime,
     Whole,
+    within,
 )
 from testbed.scenario.network import Network, Window
 from testbed.scenario.reference_fields import ScenarioReference
@@ -36,23 +38,19 @@ Distance = Annotated[Length, Field(ge=SMALLEST)]
 class Origin(Section):
     """Origin of the local north-east-down frame (WGS 84)."""
 
-    latitude_deg: Degrees = Field(
+    latitude_deg: Annotated[Degrees, within(ORIGIN_LATITUDE)] = Field(
         38.0,
-        ge=-85,
-        le=85,
         description="Latitude, degrees.",
         json_schema_extra={
             "reason": "east is an arc along the parallel of the origin; nearer a pole parallels "
             "shrink by more than 0.17 % per km"
         },
     )
-    longitude_deg: Degrees = Field(
-        0.0, ge=-180, le=180, description="Longitude, degrees; 180 equals -180."
+    longitude_deg: Annotated[Degrees, within(ORIGIN_LONGITUDE)] = Field(
+        0.0, description="Longitude, degrees; 180 equals -180."
     )
-    elevation_m: Number = Field(
+    elevation_m: Annotated[Number, within(ORIGIN_ELEVATION)] = Field(
         300.0,
-        ge=-500,
-        le=9000,
         json_schema_extra={"unit": "m"},
         description="Elevation of the ground above sea level, m.",
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +13,7 @@ from testbed.core.errors import InputError
 from testbed.core.files import write_text_file
 from testbed.core.input_files import quote_word
 from testbed.core.numbers import parse_number
+from testbed.core.ranges import RECORDED
 from testbed.core.records import Array
 
 COMMANDS = ("t_s", "theta_cmd_rad", "phi_cmd_rad", "throttle_cmd")
@@ -35,11 +35,6 @@ RESPONSES = (
     "pwm_rud",
 )
 _PULSES = [k for k, name in enumerate(RESPONSES) if name.startswith("pwm")]
-_ALLOWED = {
-    "theta_cmd_rad": (-math.pi / 2, math.pi / 2, "radians between -1.57 and 1.57"),
-    "phi_cmd_rad": (-math.pi, math.pi, "radians between -3.14 and 3.14"),
-    "throttle_cmd": (0.0, 1.0, "a share of full throttle between 0 and 1"),
-}
 _STARTS = {"airspeed_mps": 22.0, "altitude_m": 100.0, "psi_rad": 0.0}
 _MAX_DURATION_S = 86400.0
 _STEADY_S, _STEADY_MPS = 2.0, 2.0  # a larger change of airspeed in this time is no steady start
@@ -161,7 +156,7 @@ def _cell(path: Path, number: int, name: str, text: str) -> float:
         raise CommandsError(
             f"{path}:{number}: column {name}: {quote_word(text)} is not a finite number"
         )
-    low, high, words = _ALLOWED.get(name, (-math.inf, math.inf, ""))
-    if not low <= value <= high:
-        raise CommandsError(f"{path}:{number}: column {name}: {value:g} should be {words}")
-    return value
+    limits = RECORDED[name]
+    if not limits.low - limits.slack <= value <= limits.high + limits.slack:
+        raise CommandsError(f"{path}:{number}: column {limits.problem(name, value)}")
+    return min(max(value, limits.low), limits.high)

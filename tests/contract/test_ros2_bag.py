@@ -10,7 +10,7 @@ import views_flight
 import yaml
 from commands import call_command
 from mcap_ros2.decoder import DecoderFactory
-from record_flight import record
+from record_flight import record, run_info, run_samples
 from rosbags.highlevel import AnyReader
 
 from testbed.core.frames import (
@@ -57,6 +57,22 @@ def bag(tmp_path_factory, seen):
     assert "--out run.ros2: it exists; remove it" in named.stderr
     assert {each.name for each in folder.iterdir()} == {"run.mcap", "run.ros2", RECORD_NAME}
     return folder / "run.ros2"
+
+
+def test_export_prints_which_name_became_which(tmp_path):
+    """`uav_1` keeps its name beside `uav-1`; names that ROS 2 allows have no line."""
+    names = ("leader", "uav-1", "uav_1", "2nd")
+    path = record(tmp_path / "run.mcap", list(run_samples(3)), run_info(names=names))
+    done = call_command("export", path, "--format", "ros2", cwd=tmp_path, code=0, columns=160)
+    line = "names that ROS 2 does not allow: uav-1 is /uav_1_2, 2nd is /aircraft_2nd"
+    assert line in done.stderr
+    with (tmp_path / "run.ros2" / "run.ros2.mcap").open("rb") as file:
+        summary = mcap.reader.make_reader(file).get_summary()
+    topics = {channel.topic for channel in summary.channels.values()}
+    assert {f"/{name}/odom" for name in ("leader", "uav_1", "uav_1_2", "aircraft_2nd")} <= topics
+    path = record(tmp_path / "plain.mcap", list(run_samples(3)), run_info())
+    done = call_command("export", path, "--format", "ros2", cwd=tmp_path, code=0, columns=160)
+    assert "does not allow" not in done.stderr
 
 
 @pytest.fixture(scope="module")

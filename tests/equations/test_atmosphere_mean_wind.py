@@ -8,6 +8,7 @@ import pytest
 from reference.adapters_atmosphere import mean_velocity, profile_factor
 
 from testbed.atmosphere.mean_wind import (
+    COLUMNS,
     LOGARITHMIC,
     POWER,
     Profile,
@@ -163,7 +164,7 @@ def test_gusty_wind_csv_is_as_its_origin_describes(tmp_path, monkeypatch):
     (code,) = re.findall(r"```python\n(.*?)```", text, re.S)
     monkeypatch.chdir(tmp_path)
     exec(code, {})
-    columns = ("t_s", "speed_mps", "from_deg")
+    columns = {name: COLUMNS[name] for name in ("t_s", "speed_mps", "from_deg")}
     ours, written = (
         read_table(path).numbers(columns)
         for path in (tmp_path / "gusty-wind.csv", DATA / "gusty-wind.csv")
@@ -211,7 +212,8 @@ BROKEN = [
     ),
     (
         "t_s,speed_mps,from_deg\n0,1,0\n5,-1,0",
-        r"wind.csv:3: speed_mps is -1; write it without its sign, or turn from_deg$",
+        r"wind.csv:3: speed_mps is -1, and air.wind.speed_mps allows 0 to 60 m/s \(write m/s, or "
+        r"remove the row\)$",
     ),
 ]
 

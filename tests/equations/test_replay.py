@@ -109,7 +109,11 @@ def test_recording_shorter_than_run_is_an_error(tmp_path: Path) -> None:
             "0.24,9" + ",0" * 13,
             r"bad.csv:5: the position is 1\d\d.* from line 4: rows of several",
         ),
-        (5, "0.24," + "0," * 7 + "2" + ",0" * 6, r"bad.csv:5: pitch_rad is 2; write radians"),
+        (
+            5,
+            "0.24," + "0," * 7 + "2" + ",0" * 6,
+            r"bad.csv:5: pitch_rad is 2; allowed are -1.571 to 1.571 rad",
+        ),
         (11, "9.00," + "0," * 13 + "0", r"bad.csv:11: .*a gap of more than 1 s"),
     ],
 )

@@ -3,6 +3,9 @@
 import csv
 import json
 import math
+import re
+import shutil
+from datetime import datetime, timedelta
 
 import numpy as np
 import pytest
@@ -290,6 +293,21 @@ def test_formation_far_from_the_origin_is_an_error(flown):
     assert "km from the origin, 38°, 0°; write another one: scenario.origin:" in found
 
 
+@pytest.mark.parametrize("start", ["1970-01-01T00:00:00Z", "1971-06-01T00:00:00Z"])
+def test_formation_long_after_its_start_is_an_error(flown, start):
+    """What the error says can be written: a time at most a day before the logs."""
+    words = ("import-formation", flown / "three.yaml", *logs(flown, "bin"), "--out", flown / "day")
+    found = invoke(flown, *words, "--start", start, code=2)
+    assert f"time 0 is {start[:-1]}" in found
+    (begun,) = re.findall(r"s later, at (\S+); write --start with a time at most a day", found)
+    assert not (flown / "day").exists()
+    allowed = datetime.fromisoformat(begun) - timedelta(hours=23, minutes=59)
+    invoke(flown, *words, "--start", allowed.isoformat())
+    times = read_log(flown / "day" / "run.mcap").time_s
+    assert times[0] == pytest.approx(86_340.0, abs=0.05) and np.all(np.diff(times) > 0.0)
+    shutil.rmtree(flown / "day")
+
+
 def test_formation_without_time_of_day_needs_offset(flown):
     log = read_log(flown / "run" / "run.mcap")
     for name in NAMES:
@@ -375,7 +393,7 @@ def test_map_converts_units_and_signs(foreign, flight, tmp_path):
     ("change", "text"),
     [
         ({"ground_speed_mps": {"column": "GS kn"}}, "contradicts (north|east)_m, which changes"),
-        ({"course_rad": {"column": "track"}}, "contradicts (north|east)_m"),
+        ({"course_rad": {"column": "track"}}, "course_rad: is up to .*; write unit: deg"),
         ({"v_down_mps": {"column": "climb fpm", "unit": "ft/min"}}, "v_down_mps: contradicts down"),
         (
             {"height_m": {"column": "alt ft"}},
