@@ -68,12 +68,12 @@ def trim_command(
 ) -> None:
     """Find the steady flight of an aircraft: attitude, controls, propeller speed, residual."""
     from testbed.scenario import find_aircraft
-    from testbed.vehicle.jsbsim_adapter import trim_aircraft
+    from testbed.vehicle.jsbsim_adapter import trim_or_suggest
 
     folder = find_aircraft(aircraft)
     point, origin = _trim_point(airspeed, climb, bank, altitude)
     _show_warnings(folder)
-    result = trim_aircraft(folder, point, origin)
+    result = trim_or_suggest(folder, point, origin)
     document = {"aircraft": folder.name, **trim_document(result)}
     _write_result(json, document, _headline(folder, result), _trim_table(result))
 

@@ -27,7 +27,12 @@ from testbed.trials.first_gains import (
 )
 from testbed.trials.speed_step import SpeedStep, speed_step
 from testbed.trials.step_responses import StepResponses, measure_steps, start_of
-from testbed.vehicle.jsbsim_adapter import airframe, find_cruise, trim_aircraft
+from testbed.vehicle.jsbsim_adapter import (
+    airframe,
+    find_cruise,
+    trim_aircraft,
+    trim_or_suggest,
+)
 from testbed.vehicle.powerplant import AircraftError
 from testbed.vehicle.trim import TrimError, TrimPoint, TrimResult
 
@@ -114,7 +119,7 @@ def _find_cruise(folder: Path, airspeed: float | None) -> TrimResult:
         found = find_cruise(folder, altitude=ALTITUDE).point.airspeed
         speed = round(found, 0 if found >= _SLOW else 1)
     point = TrimPoint(speed, altitude=ALTITUDE)
-    return trim_aircraft(folder, point, start_of(point)[1])
+    return trim_or_suggest(folder, point, start_of(point)[1])
 
 
 def _level_flight(folder: Path, envelope: Envelope, origin: NedOrigin) -> LevelFlight:

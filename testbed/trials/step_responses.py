@@ -23,12 +23,14 @@ RATE_HZ = 200
 ABOVE_GROUND = 1000.0  # m: no response comes near the ground
 AILERON, ELEVATOR, THROTTLE = 0.1, 0.05, 0.1  # steps, of the whole travel to one side
 ROLL_S, PITCH_S, THROTTLE_S = 1.5, 2.0, 6.0  # of the responses
+YAW_S = 0.3  # in which the rudder turns the nose, before the roll that follows
 RUDDER_MIXES = (0.0, 0.25, 0.5, 0.75, 1.0)  # rudder per aileron
 _PITCH_MEAN_S = 0.5, 1.5  # between which the pitch rate is averaged
 _SLOPE_S = 0.05  # over which an acceleration is taken
 # Rows of the aircraft after the first: what each moves; the others move ailerons and rudder.
 _ELEVATOR, _MORE, _LESS, _MIXED = 1, 2, 3, 4
 _LEAST_RATE = 0.02  # rad/s per full control: less is no control
+_LEAST_SPEED = 0.05  # m/s per full throttle
 
 
 class ResponseError(InputError):
@@ -76,7 +78,7 @@ def measure_steps(folder: Path, point: TrimPoint) -> StepResponses:
 
     Raises:
         AircraftError, TrimError: the aircraft cannot be loaded or trimmed.
-        ResponseError: ailerons or elevator have no effect, or the wrong one.
+        ResponseError: ailerons or elevator have no effect, or a control has the wrong one.
     """
     start, origin = start_of(point)
     count = _MIXED + len(RUDDER_MIXES)
@@ -103,7 +105,7 @@ def measure_steps(folder: Path, point: TrimPoint) -> StepResponses:
         / AILERON
     )
     best = int(beta.argmin())
-    roll_rate = float(p[:, best].max())
+    roll_rate = float(p[np.abs(p[:, best]).argmax(), best])  # that of a wrong sign is negative
     q = rates[flown.time <= PITCH_S, _ELEVATOR, 1] / up
     low, high = _PITCH_MEAN_S
     settled = (flown.time >= low) & (flown.time <= high)
@@ -112,7 +114,14 @@ def measure_steps(folder: Path, point: TrimPoint) -> StepResponses:
         ("aileron", roll_rate, "rolls the aircraft to the right"),
         ("elevator", pitch_rate, "pitches the aircraft up"),
     ):
-        _check_rate(name, rate, way)
+        _check_effect(name, rate)
+        _check_sign(name, rate, way)
+    if fleet.trims[0].has_rudder:
+        yawing = rates[flown.time <= YAW_S, _MIXED:, 2].mean(axis=0)
+        yaw_rate = float(yawing[-1] - yawing[0]) / (AILERON * RUDDER_MIXES[-1])
+        _check_sign("rudder", yaw_rate, "yaws the aircraft to the right")
+    for row, step in throttles.items():
+        _check_throttle(flown, row, step)
     within = round(_SLOPE_S * RATE_HZ)
     slope = (q[within:] - q[:-within]) / _SLOPE_S
     # the stronger and the slower of both: an engine may lose power later than it gains it
@@ -158,16 +167,32 @@ def _throttle_response(flown: _Flown, row: int, step: float) -> tuple[float, flo
     return value, _time_to_63(acceleration, value) + 0.5 * within / RATE_HZ
 
 
-def _check_rate(control: str, rate: float, way: str) -> None:
+def _check_effect(control: str, rate: float) -> None:
     if not math.isfinite(rate) or abs(rate) < _LEAST_RATE:
         raise ResponseError(
             f"the {control} has no effect: fcs/{control}-cmd-norm of 1 gives "
             f"{math.degrees(rate):.2g}°/s; the autopilot flies with ailerons and elevator"
         )
-    if rate < 0.0:
+
+
+def _check_sign(control: str, rate: float, way: str) -> None:
+    """Check the rate of a full command, rad/s; a small one is none."""
+    if rate < -_LEAST_RATE:
         raise ResponseError(
             f"the {control} acts the wrong way: a command that {way} gives "
             f"{math.degrees(rate):.3g}°/s (change the sign in the flight control)"
+        )
+
+
+def _check_throttle(flown: _Flown, row: int, step: float) -> None:
+    """Check that the aircraft is faster with more throttle, in the mean of the first seconds."""
+    change = (flown.airspeed[:, row] - flown.airspeed[:, 0])[flown.time <= PITCH_S]
+    faster = float(change.mean()) / step
+    if faster < -_LEAST_SPEED:
+        raise ResponseError(
+            "the throttle acts the wrong way: within the first "
+            f"{PITCH_S:g} s a full one makes the aircraft {-faster:.3g} m/s slower in the mean "
+            "(change the sign in the propulsion, or in the flight control)"
         )
 
 

@@ -63,7 +63,7 @@ ENGINES = (
 THRUSTERS = "propeller nozzle rotor direct"
 
 _HERE = (".",)
-_PROPULSION = (".", "Engines", "engines", "Engine", "engine")
+_PROPULSION = ("Engines", "engines", "Engine", "engine")  # JSBSim does not look beside the aircraft
 _SYSTEMS = (".", "Systems", "systems")
 
 _RANDOM = "random urandom"

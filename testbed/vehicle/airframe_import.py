@@ -20,6 +20,7 @@ from xml.sax.saxutils import escape
 
 from testbed.core.files import write_file
 from testbed.core.input_files import read_bounded
+from testbed.vehicle.airframe_grammar import GRAMMAR
 from testbed.vehicle.airframe_scan import Cut, FileScan, NamedFile
 from testbed.vehicle.airframe_validation import FILE_NAME, MAX_BYTES, MAX_FILES
 from testbed.vehicle.powerplant import AircraftError
@@ -28,16 +29,8 @@ MAX_DECLARED = 40  # properties that other programs give an aircraft
 _DECLARED = "declared"  # name of the <system> with properties that are missing
 _FOLDER_NAME = re.compile(r"[A-Za-z0-9][\w.+-]*", re.ASCII)
 _MISSING = re.compile(r"The property (\S+) does not exist")
-# Where files of an element are looked for beside the aircraft's own folder, and where they go.
-_FOLDERS = {
-    **dict.fromkeys(("propulsion", "engine", "thruster"), "Engines"),
-    **dict.fromkeys(("system", "autopilot", "flight_control"), "Systems"),
-}
-_SPELLINGS = {
-    "Engines": ("Engines", "engines", "Engine", "engine"),
-    "Systems": ("Systems", "systems"),
-}
-_SHARED = {"Engines": "engine", "Systems": "systems"}  # beside the folder `aircraft`
+# Where files are looked for beside the folder `aircraft`, by their folder in an aircraft.
+_SHARED = {"Engines": "engine", "Systems": "systems"}
 
 
 @dataclass(slots=True)
@@ -239,18 +232,26 @@ class _Search:
 
     def _candidates(self, element: str, path: str) -> Iterator[tuple[Path, Path, Path]]:
         """Yield the root, a candidate in it, and its place in the new folder."""
-        yield self._own, self._own / path, Path(path)
-        kind = _FOLDERS.get(element)
+        folders, kind = GRAMMAR[element].folders, _folder(element)
+        # an engine beside the aircraft goes to where JSBSim looks
+        beside = Path(path) if kind is None or "." in folders else Path(kind, path)
+        yield self._own, self._own / path, beside
         if kind is None:
             return
-        for spelling in _SPELLINGS[kind]:
-            yield self._own, self._own / spelling / path, Path(kind, path)
+        for spelling in folders:
+            if spelling != ".":
+                yield self._own, self._own / spelling / path, Path(kind, path)
         for tree in self._trees:
             yield tree / _SHARED[kind], tree / _SHARED[kind] / path, Path(kind, path)
 
     def _places(self, element: str) -> str:
-        kind = _FOLDERS.get(element)
+        kind = _folder(element)
         if kind is None:
             return f"in {self._own}"
         shared = " or ".join(str(tree / _SHARED[kind]) for tree in self._trees)
         return f"in {self._own}, its {kind}, or {shared}"
+
+
+def _folder(element: str) -> str | None:
+    """Return the folder of an aircraft for the files of an element; None: the aircraft's own."""
+    return next((each for each in GRAMMAR[element].folders if each != "."), None)

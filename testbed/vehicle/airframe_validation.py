@@ -353,7 +353,10 @@ class FileCheck:
 
     def _found(self, name: str, folders: tuple[str, ...]) -> list[Path]:
         """Return all files that JSBSim may read for a name."""
-        places = " or its ".join(("the aircraft's folder", *folders[1:2]))
+        own = folders[0] == "."
+        places = f"the aircraft's folder {folders[0]}"
+        if own:
+            places = " or its ".join(("the aircraft's folder", *folders[1:2]))
         if not FILE_NAME.fullmatch(name):
             self._report(
                 f"file={_short(name)!r} leaves the aircraft's folder, or is no plain name (write "
@@ -364,7 +367,9 @@ class FileCheck:
         candidates = [self.home / each / path for each in folders]
         files = [each.resolve() for each in candidates if each.is_file()]
         if not files:
-            self._report(f"file={name!r}: there is no {path} in {places} (add it)")
+            beside = not own and (self.home / path).is_file()
+            what = "move the one beside the aircraft there" if beside else "add it"
+            self._report(f"file={name!r}: there is no {path} in {places} ({what})")
         inside = [each for each in files if each.is_relative_to(self.home)]
         if len(inside) < len(files):
             self._report(f"file={name!r} is a link out of the aircraft's folder (put a copy there)")

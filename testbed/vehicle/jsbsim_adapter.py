@@ -47,6 +47,8 @@ from testbed.vehicle.trim import (
 # Set by the files; properties and point masses may change them when loaded.
 _SIZES = ("inertia/mass-slugs", "metrics/Sw-sqft", "metrics/bw-ft", "metrics/cbarw-ft")
 _CRUISE_TRIES = (1.0, 1.25, 0.85, 1.6)  # of the airspeed of CRUISE_LIFT
+# Of an airspeed that does not trim, in the order in which others are tried.
+_OTHER_SPEEDS = (1.05, 0.95, 1.1, 0.9, 1.2, 0.8, 1.4, 0.7, 1.7, 0.5, 2.0, 3.0)
 _SMALLEST_SLOPE = 0.3  # 1/rad, of a lift coefficient; that of a slender delta wing is 1.5
 
 
@@ -159,6 +161,25 @@ def trim_aircraft(folder: Path, point: TrimPoint, origin: NedOrigin | None = Non
         AircraftError, TrimError: there is no such aircraft, or no steady flight at the point.
     """
     return _trim_aircraft(folder, point, origin or NedOrigin())
+
+
+def trim_or_suggest(folder: Path, point: TrimPoint, origin: NedOrigin | None = None) -> TrimResult:
+    """Trim an aircraft, as `trim_aircraft` does; an error has the next airspeed that trims.
+
+    Raises:
+        AircraftError, TrimError: as `trim_aircraft`.
+    """
+    try:
+        return trim_aircraft(folder, point, origin)
+    except TrimError as error:
+        for factor in _OTHER_SPEEDS:
+            other = replace(point, airspeed=float(f"{factor * point.airspeed:.3g}"))
+            with suppress(TrimError):
+                trim_aircraft(folder, other, origin)
+                break
+        else:
+            raise
+        raise TrimError(f"{error} (it trims at {other.airspeed:g} m/s)") from None
 
 
 def find_cruise(folder: Path, airspeed: float | None = None, altitude: float = 400.0) -> TrimResult:

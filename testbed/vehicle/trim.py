@@ -35,6 +35,14 @@ _HIGH = np.array([0.5, 0.3, 1.0, 1.0, 1.0, 1.0])
 _ITERATIONS = 40
 _PATIENCE = 8  # iterations without a smaller residual
 _STEADY = 1e-4  # m/s² and rad/s², largest acceptable residual
+_AXES = (
+    ("m/s²", "forward"),
+    ("m/s²", "to the right"),
+    ("m/s²", "down"),
+    ("rad/s²", "in roll"),
+    ("rad/s²", "in pitch"),
+    ("rad/s²", "in yaw"),
+)  # of the residual
 _FIRST_THROTTLES = (0.3, 0.6, 0.9)  # thrust may fall with throttle while the propeller brakes
 _STEEPEST, _HIGHEST = -1.0, 0.2  # rad, flight-path angles of a glider
 _FIRST_DESCENTS = (-0.05, -0.15, -0.4)  # rad
@@ -234,11 +242,15 @@ def trim(model: TrimModel, point: TrimPoint) -> TrimResult:
             if model.has_engine
             else f"a flight-path angle of {math.degrees(best_x[5]):.1f}°"
         )
+        residual = _residual(model, point, best_x, spin=True)
+        axis = int(np.abs(residual).argmax())
+        unit, name = _AXES[axis]
         raise TrimError(
-            f"{_words(point)}: no steady flight; accelerations of {best:.2g} m/s² or rad/s² "
-            f"remain at {sixth}, elevator {best_x[3]:+.2f}"
+            f"{_words(point)}: no steady flight; an acceleration of {residual[axis]:+.2g} {unit} "
+            f"{name} remains at {sixth}, elevator {best_x[3]:+.2f}, angle of attack "
+            f"{math.degrees(best_x[0]):.1f}°"
         )
-    residual = float(np.max(np.abs(_residual(model, point, best_x, spin=True))))
+    largest = float(np.max(np.abs(_residual(model, point, best_x, spin=True))))
     model.check_engines()
     placement, controls, turn_rate = _flight(model, point, best_x)
     return TrimResult(
@@ -250,7 +262,7 @@ def trim(model: TrimModel, point: TrimPoint) -> TrimResult:
         propeller_rps=model.propeller_rps,
         placement=placement,
         has_rudder=model.has_rudder,
-        residual=residual,
+        residual=largest,
         has_engine=model.has_engine,
         flight_path_angle=_flown_point(model, point, best_x).flight_path_angle,
     )

@@ -1,6 +1,8 @@
 """`testbed new aircraft` with aircraft of JSBSim's own collection."""
 
 import json
+import re
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -12,9 +14,16 @@ from testbed.autopilot.parameters import read_params
 from testbed.scenario import find_aircraft, load_middle_loop, loads
 from testbed.trials.check_flight import DURATION_S, check_and_soften, fly_check
 from testbed.trials.first_gains import softened
-from testbed.trials.step_responses import measure_steps, start_of
-from testbed.vehicle.jsbsim_adapter import SHARED_FILES, linearize_aircraft
-from testbed.vehicle.trim import TrimPoint
+from testbed.trials.step_responses import ResponseError, measure_steps, start_of
+from testbed.vehicle.airframe_import import copy_aircraft
+from testbed.vehicle.jsbsim_adapter import (
+    SHARED_FILES,
+    linearize_aircraft,
+    trim_aircraft,
+    trim_or_suggest,
+)
+from testbed.vehicle.powerplant import AircraftError
+from testbed.vehicle.trim import TrimError, TrimPoint
 
 COLLECTION = SHARED_FILES / "aircraft"
 SPEED = 55.0
@@ -144,7 +153,7 @@ def test_wrong_arguments_are_refused(tmp_path, arguments, error):
 
 def test_speed_without_level_flight_is_refused(tmp_path):
     done = new_aircraft(tmp_path, "c172p", "--speed", "90", code=2)
-    assert "trim at 90 m/s" in done.stderr and "remain at throttle 1.00" in done.stderr
+    assert "trim at 90 m/s" in done.stderr and "remains at throttle 1.00" in done.stderr
     assert list(tmp_path.iterdir()) == []
 
 
@@ -187,3 +196,75 @@ def test_ringing_gains_are_softened():
     assert last.params == expected
     assert np.isclose(expected.rll_rate_p, wild.rll_rate_p / 2**last.softenings, rtol=0.01)
     assert expected.ptch_rate_p == wild.ptch_rate_p
+
+
+def changed_rascal(folder, old, new):
+    """Copy the Rascal with another text in place of the first one of its flight control."""
+    shutil.copytree(RASCAL, folder)
+    file = folder / f"{folder.name}.xml"
+    (folder / "rascal110.xml").rename(file)
+    before, found, after = file.read_text(encoding="utf-8").partition(old)
+    assert found
+    file.write_text(before + new + after, encoding="utf-8")
+    return folder
+
+
+SIGNS = {
+    "aileron": ("rolls the aircraft to the right", 90.5),
+    "elevator": ("pitches the aircraft up", 52.2),
+    "rudder": ("yaws the aircraft to the right", 27.4),
+}
+
+
+@pytest.mark.parametrize("control", SIGNS)
+def test_reversed_control_has_its_measured_sign(control, tmp_path):
+    """The rate is that of the right sign, which no error has (the test above)."""
+    name = f"fcs/{control}-cmd-norm"
+    folder = changed_rascal(tmp_path / "reversed", f"<input> {name}", f"<input> -{name}")
+    way, rate = SIGNS[control]
+    text = rf"the {control} acts the wrong way: a command that {way} gives -(\d+\.\d)°/s"
+    with pytest.raises(ResponseError) as caught:
+        measure_steps(folder, CRUISE)
+    assert float(re.match(text, str(caught.value))[1]) == pytest.approx(rate, abs=0.2)
+    assert "change the sign in the flight control" in str(caught.value)
+
+
+THROTTLE = """</channel><channel name="throttle"><fcs_function name="fcs/throttle"><function>
+<difference><value>1</value><property>fcs/throttle-cmd-norm[0]</property></difference>
+</function><output>fcs/throttle-pos-norm[0]</output></fcs_function></channel>"""
+
+
+def test_reversed_throttle_is_named(tmp_path):
+    folder = changed_rascal(tmp_path / "slow", "</channel>", THROTTLE)
+    text = "the throttle acts the wrong way: within the first 2 s a full one makes the aircraft 4"
+    with pytest.raises(ResponseError, match=text):
+        measure_steps(folder, CRUISE)
+
+
+def test_speed_that_an_error_names_trims():
+    """The residual has its axis, and the suggested speed is one of level flight."""
+    with pytest.raises(TrimError) as caught:
+        trim_or_suggest(RASCAL, replace(CRUISE, airspeed=65.0))
+    found = re.search(
+        r"an acceleration of -1\d m/s² forward remains at throttle 1.00, elevator -0.13, angle of "
+        r"attack -2.4° \(it trims at (\S+) m/s\)$",
+        str(caught.value),
+    )
+    assert trim_aircraft(RASCAL, replace(CRUISE, airspeed=float(found[1]))).residual < 1e-4
+
+
+def test_aircraft_with_engines_beside_it_flies(tmp_path):
+    """Files beside the aircraft are copied to where JSBSim looks; there they are found."""
+    folder = changed_rascal(tmp_path / "flat", "<propulsion>", "<propulsion>")
+    names = {each.name for each in (folder / "Engines").iterdir()}
+    for name in names:
+        (folder / "Engines" / name).rename(folder / name)
+    copied = copy_aircraft(folder / "flat.xml", tmp_path / "new", SHARED_FILES)
+    assert {each.name for each in (copied.main.parent / "Engines").iterdir()} == names
+    assert trim_aircraft(copied.main.parent, CRUISE).residual < 1e-4
+    text = r"there is no propeller_18in.xml in the aircraft's folder Engines \(move the one beside"
+    with pytest.raises(AircraftError, match=text):
+        trim_aircraft(folder, CRUISE)
+    for name in names:  # the remedy
+        (folder / name).rename(folder / "Engines" / name)
+    assert trim_aircraft(folder, CRUISE).residual < 1e-4
