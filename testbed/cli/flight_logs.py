@@ -94,8 +94,10 @@ def import_command(
             flight, system=system, begin=first, end=last, mode=_FBWA if mode is None else mode
         )
         motion = Motion(found.columns, found.sources)
-        home_m = found.home_m
+        home_m, rates_hz = found.home_m, found.rates_hz
     else:
+        import numpy as np
+
         from testbed.recordings.column_map import read_mapped
         from testbed.recordings.motion import longest_section
 
@@ -104,12 +106,18 @@ def import_command(
                 raise InputError(f"{option} {value}: is for a .bin or .tlog; leave it out")
         motion, notes = longest_section(read_mapped(flight, columns), first, last)
         found, home_m = _mapped_flight(motion, notes), None
+        time = motion.columns["t_s"]
+        rates_hz = dict.fromkeys(motion.columns, 1.0 / float(np.median(np.diff(time))))
     motion = _complete(motion, origin, home_m, flight)
     from testbed.recordings.motion import to_csv
+    from testbed.vehicle.command_files import write_sources
 
     text = to_csv(motion)
-    with report_write_errors(f"--out {out}"), write_text_file(out) as file:
-        file.write(text)
+    with report_write_errors(f"--out {out}"):
+        with write_text_file(out) as file:
+            file.write(text)
+        if out.is_file():  # no pipe, and no device
+            write_sources(out, flight.name, motion.sources, rates_hz)
     _print_import(console, found, motion, out, scenario)
 
 

@@ -346,6 +346,7 @@ _FIELDS_BY_MESSAGE: Mapping[str, tuple[Mapping[str, tuple[str, ...]], str | None
         "I",
     ),
     "BARO": ({"Alt": ("m",), "CRt": ("m/s",)}, "I"),
+    "XKF2": (dict.fromkeys(("VWN", "VWE"), ("m/s",)), _CORE),
     "XKF1": (dict.fromkeys(("VN", "VE", "VD"), ("m/s",)), _CORE),
     "AOA": ({"AOA": ("deg",), "SSA": ("deg",)}, None),
 }

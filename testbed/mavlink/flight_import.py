@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +35,7 @@ from testbed.mavlink.log_position import (
     UNIX,
     home_height,
     read_positions,
+    read_wind_estimate,
     sample_motion,
     unix_time,
 )
@@ -76,6 +77,7 @@ class ImportedFlight:
     modes: tuple[str, ...]
     no_position: str = ""
     home_m: float | None = None
+    rates_hz: Mapping[str, float] = field(default_factory=dict)  # of the messages of each column
 
 
 def read_flight(
@@ -169,6 +171,8 @@ def _import_flight(
             del series[name]
         else:
             series[name] = flown
+    series |= read_wind_estimate(log, time)
+    rates_hz = {name: rate for name, one in series.items() if (rate := _rate(one.time, time))}
     restored, pitch_down_known = _restore_commands(log, series)
     columns = {"t_s": time} | {name: resample(one, time) for name, one in restored.items()}
     if "throttle_cmd" in columns:
@@ -198,6 +202,7 @@ def _import_flight(
         modes_between(log, time),
         no_position,
         home_height(log, time),
+        rates_hz,
     )
 
 
@@ -350,6 +355,12 @@ def _notes(
             f"home is {height:.0f} m above sea level: respond --origin-elevation {height:.0f}"
         )
     return tuple(notes)
+
+
+def _rate(time: Array, rows: Array) -> float:
+    """Return messages per second within rows (M,); 0: fewer than two."""
+    period = _period(time[(time >= rows[0]) & (time <= rows[-1])])
+    return 1.0 / period if 0.0 < period < math.inf else 0.0
 
 
 def _period(time: Array) -> float:

@@ -92,12 +92,16 @@ class MotionSources(NamedTuple):
         north: sources of the velocity to the north, m/s.
         east: of that to the east.
         unix: of UNIX time minus log time, s.
+        wind_north: of the estimated wind to the north, m/s.
+        wind_east: of that to the east.
     """
 
     positions: tuple[PositionFields, ...]
     north: tuple[ColumnSource, ...]
     east: tuple[ColumnSource, ...]
     unix: tuple[ColumnSource, ...]
+    wind_north: tuple[ColumnSource, ...]
+    wind_east: tuple[ColumnSource, ...]
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,6 +29,7 @@ from testbed.mavlink.flight_log import (
 
 POSITION = ("latitude_deg", "longitude_deg", "height_m")
 HORIZONTAL = ("v_north_mps", "v_east_mps")
+WIND = ("wind_north_mps", "wind_east_mps")
 UNIX = "unix_s"
 GPS_EPOCH_S = 315_964_800.0  # s from 1970 to 1980-01-06, when GPS time began
 # UNIX time from which GPS time is so many seconds ahead of UTC: 2009-01-01, 2012-07-01, 2015-07-01
@@ -133,6 +134,32 @@ def polar_source(message: str, speed: str, course_deg: str, *, east: bool) -> Co
         return LogSeries(f"{message}.{speed}/{course_deg}", one.time, one.values * share)
 
     return source
+
+
+def _towards(wind_from: ColumnSource) -> ColumnSource:
+    """Make a source of a wind's velocity from one by the direction that it comes from."""
+
+    def source(log: FlightLog) -> LogSeries:
+        found = wind_from(log)
+        return replace(found, values=-found.values)
+
+    return source
+
+
+def read_wind_estimate(log: FlightLog, time: Array) -> dict[str, LogSeries]:
+    """Read the autopilot's estimate of the wind in the flight of rows (M,); empty: there is none.
+
+    Its names are those of `WIND`.
+    """
+    try:
+        wind = [
+            log.of_same_flight(first_available(log, sources), time)
+            for sources in (log.motion.wind_north, log.motion.wind_east)
+        ]
+    except Unavailable:
+        return {}
+    found = [each for each in wind if each is not None]
+    return dict(zip(WIND, found, strict=True)) if len(found) == len(WIND) else {}
 
 
 def gps_clock(log: FlightLog) -> LogSeries:
@@ -253,10 +280,14 @@ DATAFLASH = MotionSources(
     north=(field_source("XKF1", "VN"), polar_source("GPS", "Spd", "GCrs", east=False)),
     east=(field_source("XKF1", "VE"), polar_source("GPS", "Spd", "GCrs", east=True)),
     unix=(gps_clock,),
+    wind_north=(field_source("XKF2", "VWN"),),
+    wind_east=(field_source("XKF2", "VWE"),),
 )
 TELEMETRY = MotionSources(
     positions=(PositionFields("GLOBAL_POSITION_INT", "lat", "lon", "alt", 1e-7, 1e-3),),
     north=(field_source("GLOBAL_POSITION_INT", "vx", 0.01),),
     east=(field_source("GLOBAL_POSITION_INT", "vy", 0.01),),
     unix=(system_time_clock,),
+    wind_north=(_towards(polar_source("WIND", "speed", "direction", east=False)),),
+    wind_east=(_towards(polar_source("WIND", "speed", "direction", east=True)),),
 )

@@ -74,6 +74,7 @@ _FIELDS_BY_MESSAGE: Mapping[str, tuple[str, ...]] = {
     "RC_CHANNELS": tuple(_channel_field(n) for n in range(1, 19)),
     "AOA_SSA": ("AOA", "SSA"),
     "SYSTEM_TIME": ("time_unix_usec",),
+    "WIND": ("direction", "speed"),
 }
 _ABOVE_FIRST = transformed_source(
     field_source("VFR_HUD", "alt"), lambda values: values - values[0], "{} above its first"

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from testbed.core.frames import GRAVITY
-from testbed.core.records import Array
+from testbed.core.records import Array, BoolArray
 from testbed.vehicle.command_files import RESPONSES, Commands
 
 _DEGREES = 180.0 / np.pi
@@ -36,6 +36,9 @@ MOST_SHIFT_S, SHIFT_STEP_S = 0.5, 0.01  # of the search for a latency
 # What a difference must exceed to be named.
 LATENCY_S, LATENCY_SHARE = 0.015, 0.8  # and the RMS that is left, as a share
 AIRSPEED_MPS, CLIMB_MPS, ALPHA_DEG, TRIM_US = 0.5, 0.2, 0.5, 10.0  # mean differences
+MAX_HOLD_S = 0.1  # commands that are held for longer move the model's means
+GUSTY_MPS = 0.3  # standard deviation of the estimated wind, from which on it moves them, too
+BLOCK_S, MIN_BLOCKS = 10.0, 4  # of means that differ from block to block
 POWER_SHARE, POWER_CORRELATION = 0.05, 0.9
 MIN_ROLL_DEG, MIN_PULSE_US = 2.0, 5.0  # standard deviations: less motion shows nothing
 
@@ -122,43 +125,128 @@ def compare_response(
         quantities[_ENERGY[0]] = ComparedQuantity(
             *_ENERGY, energy[0], energy[1], energy[1] - energy[0]
         )
-    return ResponseComparison(time, quantities, tuple(_findings(time, quantities)))
+    held = _periods(commands.rates_hz)
+    gusts = _gusts(commands, kept)
+    others = _other_causes(held, gusts)
+    findings = (*_latency(time, quantities, held), *_findings(time, quantities, others, gusts))
+    return ResponseComparison(time, quantities, findings)
 
 
-def _findings(time: Array, quantities: Mapping[str, ComparedQuantity]) -> Iterator[str]:
-    """Yield what the differences point to, by the rules of docs/autopilot.md."""
-    yield from _latency(time, quantities)
+def _periods(rates_hz: Mapping[str, float]) -> dict[str, float]:
+    """Return the time between two messages of each column, s."""
+    return {name: 1.0 / rate for name, rate in rates_hz.items()}
+
+
+def _gusts(commands: Commands, kept: BoolArray) -> float:
+    """Return the standard deviation of the estimated wind along an axis, m/s; 0: not known."""
+    if commands.wind_mps is None or not kept.any():
+        return 0.0
+    north, east = commands.wind_mps[kept].std(axis=0)
+    gusts = float(np.hypot(north, east) / np.sqrt(2.0))
+    return gusts if gusts > GUSTY_MPS else 0.0
+
+
+def _other_causes(held: Mapping[str, float], gusts: float) -> tuple[str, ...]:
+    """Return what moves the means of a replay beside the aircraft: slow commands, and gusts."""
+    found = []
+    slowest = max(("theta_cmd_rad", "throttle_cmd"), key=lambda name: held.get(name, 0.0))
+    if held.get(slowest, 0.0) > MAX_HOLD_S:
+        found.append(f"{slowest} came {1.0 / held[slowest]:.3g} times a second")
+    if gusts:
+        found.append(f"the wind varied by {gusts:.2g} m/s, and the model flies in still air")
+    return tuple(found)
+
+
+def _findings(
+    time: Array, quantities: Mapping[str, ComparedQuantity], others: Sequence[str], gusts: float
+) -> Iterator[str]:
+    """Yield what the differences point to, by the rules of docs/autopilot.md.
+
+    Args:
+        time: (K,) s.
+        quantities: by name.
+        others: causes beside the aircraft; with any, means that differ from block to block may be
+            theirs.
+        gusts: standard deviation of the wind, m/s.
+    """
     for name in ("aileron", "elevator"):
         if pulses := quantities.get(name):
             yield from _control_power(pulses, quantities.get("airspeed"))
-    if (each := quantities.get("airspeed")) and abs(each.mean) > AIRSPEED_MPS:
-        word = "faster" if each.mean > 0.0 else "slower"
+    unsteady = []
+    for name, (bound, sentence) in _MEANS.items():
+        each = quantities.get(name)
+        if each is None or abs(each.mean) <= bound:
+            continue
+        least = gusts if each.unit == "m/s" else 0.0
+        if others and not _is_steady(time, each.difference, least):
+            unsteady.append(f"{name} {each.mean:+.2g} {each.unit}")
+        else:
+            yield f"trim: the model{sentence(each.mean)}"
+    if unsteady:
         yield (
-            f"trim: the model is {abs(each.mean):.2f} m/s {word} on average with the same throttle "
-            "and pitch commands: drag, thrust, the airspeed sensor, or the pitch trim of the tune"
-        )
-    if (each := quantities.get("climb rate")) and abs(each.mean) > CLIMB_MPS:
-        word = "climbs more" if each.mean > 0.0 else "climbs less"
-        yield (
-            f"trim: the model {word}, by {abs(each.mean):.2f} m/s on average: mass, drag, thrust, "
-            "or the pitch trim of the tune"
-        )
-    if (each := quantities.get("angle of attack")) and abs(each.mean) > ALPHA_DEG:
-        yield (
-            f"trim: the model's angle of attack differs by {each.mean:+.2f}° on average: mass, "
-            "lift, or the vane's mounting"
-        )
-    if (each := quantities.get("elevator")) and abs(each.mean) > TRIM_US:
-        yield (
-            f"trim: the model's elevator differs by {each.mean:+.0f} µs on average: centre of "
-            "gravity, pitching moment, or the servo's neutral pulse"
+            f"trim: mean differences of {', '.join(unsteady)} may have other causes than the "
+            f"aircraft: {'; '.join(others)}"
         )
 
 
-def _latency(time: Array, quantities: Mapping[str, ComparedQuantity]) -> Iterator[str]:
+def _faster(mean: float) -> str:
+    word = "faster" if mean > 0.0 else "slower"
+    return (
+        f" is {abs(mean):.2f} m/s {word} on average with the same throttle and pitch commands: "
+        "drag, thrust, the airspeed sensor, or the pitch trim of the tune"
+    )
+
+
+def _climbs(mean: float) -> str:
+    word = "climbs more" if mean > 0.0 else "climbs less"
+    return (
+        f" {word}, by {abs(mean):.2f} m/s on average: mass, drag, thrust, or the pitch trim of the "
+        "tune"
+    )
+
+
+# By quantity: the mean difference from which on it is named, and what follows "the model".
+_MEANS: Mapping[str, tuple[float, Callable[[float], str]]] = {
+    "airspeed": (AIRSPEED_MPS, _faster),
+    "climb rate": (CLIMB_MPS, _climbs),
+    "angle of attack": (
+        ALPHA_DEG,
+        lambda mean: (
+            f"'s angle of attack differs by {mean:+.2f}° on average: mass, lift, or the vane's "
+            "mounting"
+        ),
+    ),
+    "elevator": (
+        TRIM_US,
+        lambda mean: (
+            f"'s elevator differs by {mean:+.0f} µs on average: centre of gravity, pitching "
+            "moment, or the servo's neutral pulse"
+        ),
+    ),
+}
+
+
+def _is_steady(time: Array, difference: Array, gusts: float) -> bool:
+    """Return whether a mean (K,) is beyond twice its standard error, by means of blocks.
+
+    Slow gusts add to the error as a process with a correlation time of a block: the vertical wind,
+    which no log has, is like the horizontal one.
+    """
+    blocks = np.floor((time - time[0]) / BLOCK_S).astype(int)
+    means = [difference[blocks == k].mean() for k in range(blocks[-1]) if (blocks == k).any()]
+    if len(means) < MIN_BLOCKS:
+        return False
+    scatter = max(float(np.std(means, ddof=1)), np.sqrt(2.0) * gusts)
+    return bool(abs(float(difference.mean())) > 2.0 * scatter / np.sqrt(len(means)))
+
+
+def _latency(
+    time: Array, quantities: Mapping[str, ComparedQuantity], held: Mapping[str, float]
+) -> Iterator[str]:
     """Find the shift of the model's aileron that leaves the least difference, or of its roll.
 
-    The aileron answers to a command at once; the roll is later also where the aileron is weaker.
+    The aileron answers to a command at once; the roll is later also where the aileron is weaker. A
+    shift that is not longer than the roll command or the recorded quantity was held is theirs.
     """
     least = {"aileron": MIN_PULSE_US, "roll": MIN_ROLL_DEG}
     moved = (quantities[name] for name in least if name in quantities)
@@ -167,7 +255,16 @@ def _latency(time: Array, quantities: Mapping[str, ComparedQuantity]) -> Iterato
         return
     shift = best_shift(time, each.recorded, each.model)
     before, left = (_rms_of_shift(time, each.recorded, each.model, by) for by in (0.0, shift))
-    if abs(shift) > LATENCY_S and left < LATENCY_SHARE * before:
+    if abs(shift) <= LATENCY_S or left >= LATENCY_SHARE * before:
+        return
+    column = {"aileron": "pwm_ail", "roll": "phi_rad"}[each.name]
+    slowest = max(("phi_cmd_rad", column), key=lambda name: held.get(name, 0.0))
+    if abs(shift) <= held.get(slowest, 0.0):
+        yield (
+            f"latency: cannot be found, as {slowest} came {1.0 / held[slowest]:.3g} times a second "
+            f"and its steps may be {1e3 * held[slowest]:.0f} ms late (have it logged more often)"
+        )
+    else:
         word = "behind" if shift > 0.0 else "ahead of"
         yield (
             f"latency: the recorded {each.name} is {1e3 * abs(shift):.0f} ms {word} the model's; "

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import csv
-from dataclasses import dataclass
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +14,12 @@ import numpy as np
 from testbed.core.csv_table import read_rows
 from testbed.core.errors import InputError
 from testbed.core.files import write_text_file
-from testbed.core.input_files import quote_word
+from testbed.core.input_files import (
+    MAX_TABLE_BYTES,
+    parse_json_map,
+    quote_word,
+    read_bounded_text,
+)
 from testbed.core.numbers import parse_number
 from testbed.core.ranges import RECORDED
 from testbed.core.records import Array
@@ -34,6 +42,8 @@ RESPONSES = (
     "pwm_thr",
     "pwm_rud",
 )
+WIND = ("wind_north_mps", "wind_east_mps")  # an autopilot's estimate
+_SOURCES = ".sources.json"
 _PULSES = [k for k, name in enumerate(RESPONSES) if name.startswith("pwm")]
 _STARTS = {"airspeed_mps": 22.0, "altitude_m": 100.0, "psi_rad": 0.0}
 _MAX_DURATION_S = 86400.0
@@ -54,6 +64,8 @@ class Commands:
     recorded: dict[str, Array]  # (rows) of those of RESPONSES that the file has
     start: dict[str, float]  # state of the aircraft in the first row: keys of _STARTS
     later_airspeed: tuple[float, float] | None  # s and m/s of a row that shows an unsteady start
+    rates_hz: Mapping[str, float] = field(default_factory=dict)  # of `read_rates`
+    wind_mps: Array | None = None  # (rows, 2) estimated, to the north and east
 
     @property
     def time_s(self) -> Array:
@@ -107,7 +119,8 @@ def read_commands(path: Path) -> Commands:
                 f"{header.count(name)} times; needed are {', '.join(COMMANDS)}"
             )
     columns = [header.index(name) for name in COMMANDS]
-    known = {name: header.index(name) for name in RESPONSES if header.count(name) == 1}
+    optional = (*RESPONSES, *WIND)
+    known = {name: header.index(name) for name in optional if header.count(name) == 1}
     recorded: list[list[float]] = []
     text: list[tuple[str, ...]] = []
     values: list[list[float]] = []
@@ -147,7 +160,69 @@ def read_commands(path: Path) -> Commands:
     if not values:
         raise CommandsError(f"{path}:2: column t_s: no rows; at least one command is needed")
     found = dict(zip(known, np.array(recorded).T, strict=True))
-    return Commands(Path(path), tuple(text), np.array(values), found, start, later)
+    wind = [found.pop(name) for name in WIND if name in found]
+    return Commands(
+        Path(path),
+        tuple(text),
+        np.array(values),
+        found,
+        start,
+        later,
+        read_rates(Path(path)),
+        np.stack(wind, axis=-1) if len(wind) == len(WIND) else None,
+    )
+
+
+def sources_file(recording: Path) -> Path:
+    """Return the file beside a recording with the sources and rates of its columns."""
+    return recording.with_name(f"{recording.stem}{_SOURCES}")
+
+
+def write_sources(
+    recording: Path, log: str, sources: Mapping[str, str], rates_hz: Mapping[str, float]
+) -> None:
+    """Write where the columns of a recording come from, beside it.
+
+    Args:
+        recording: its file.
+        log: name of the file that it was made of.
+        sources: message and field, by column.
+        rates_hz: messages per second, by column.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    columns = {
+        name: {"source": source}
+        | ({"rate_hz": float(f"{rates_hz[name]:.4g}")} if name in rates_hz else {})
+        for name, source in sources.items()
+    }
+    with write_text_file(sources_file(recording)) as file:
+        json.dump({"log": log, "columns": columns}, file, indent=1, ensure_ascii=False)
+        file.write("\n")
+
+
+def read_rates(recording: Path) -> dict[str, float]:
+    """Read messages per second by column, from the file beside a recording; empty: there is none.
+
+    Raises:
+        CommandsError: the file is not one of `write_sources`.
+    """
+    path = sources_file(recording)
+    if not path.is_file():
+        return {}
+    try:
+        columns = parse_json_map(read_bounded_text(path, MAX_TABLE_BYTES))["columns"]
+        rates = {name: each["rate_hz"] for name, each in columns.items() if "rate_hz" in each}
+        found = {name: float(each) for name, each in rates.items()}
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        raise CommandsError(
+            f"{path}: is not the sources of a recording ({error}); import the log again, or remove "
+            "it"
+        ) from None
+    if not all(0.0 < each < math.inf for each in found.values()):
+        raise CommandsError(f"{path}: rate_hz must be above 0; import the log again, or remove it")
+    return found
 
 
 def _cell(path: Path, number: int, name: str, text: str) -> float:

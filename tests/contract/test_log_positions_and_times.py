@@ -14,7 +14,15 @@ from testbed.core.geodetic import has_position, ned_from_geodetic
 from testbed.core.identifiers import changed_names, identifiers
 from testbed.core.records import NedOrigin
 from testbed.mavlink.flight_log import MessageTable
-from testbed.mavlink.log_position import FIRST_WEEK, gps_clock, unix_from_gps, unix_time
+from testbed.mavlink.log_position import (
+    DATAFLASH,
+    FIRST_WEEK,
+    TELEMETRY,
+    gps_clock,
+    read_wind_estimate,
+    unix_from_gps,
+    unix_time,
+)
 from testbed.recordings.column_map import read_mapped
 from testbed.recordings.motion import MAX_AWAY_M, NED, complete, read_csv
 from testbed.scenario import load_scenario
@@ -172,6 +180,26 @@ def test_week_before_arduplane_is_of_a_rollover():
     assert "GPS.GWk has weeks before 1563, in 2009" in notes[0] and "1024 weeks later" in notes[0]
     log, time = log_of(FIRST_WEEK)
     assert unix_time(log, time)[2] == ()
+
+
+@pytest.mark.parametrize("sources", [DATAFLASH, TELEMETRY], ids=["bin", "tlog"])
+def test_wind_estimates_are_read(sources):
+    """XKF2 has where the wind blows to, WIND where it comes from; a log without has none."""
+    time = np.arange(3.0)
+    tables = {
+        "XKF2": {"VWN": np.full(3, -3.0), "VWE": np.full(3, 4.0)},
+        "WIND": {"speed": np.full(3, 5.0), "direction": np.full(3, math.degrees(-0.9272952180))},
+    }
+    log = SimpleNamespace(
+        tables={name: MessageTable(time, fields) for name, fields in tables.items()},
+        motion=sources,
+        of_same_flight=lambda series, rows: series,
+    )
+    found = read_wind_estimate(log, time)
+    assert found["wind_north_mps"].values == pytest.approx(np.full(3, -3.0))
+    assert found["wind_east_mps"].values == pytest.approx(np.full(3, 4.0))
+    log.tables = {}
+    assert read_wind_estimate(log, time) == {}
 
 
 def test_exact_names_are_given_away_first():

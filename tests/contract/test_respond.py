@@ -15,7 +15,14 @@ from testbed.cli.main import app
 from testbed.core.errors import InputError
 from testbed.trials.response_comparison import best_shift, compare_response
 from testbed.vehicle.airframe_variant import copy_with_factors
-from testbed.vehicle.command_files import RESPONSES, read_commands, write_response
+from testbed.vehicle.command_files import (
+    RESPONSES,
+    Commands,
+    read_commands,
+    sources_file,
+    write_response,
+    write_sources,
+)
 from testbed.vehicle.jsbsim_adapter import airframe, trim_aircraft
 from testbed.vehicle.powerplant import AircraftError
 from testbed.vehicle.replay_commands import ReplaySetup, replay_one
@@ -74,6 +81,68 @@ def test_late_commands_point_to_latency(commands, setup, model):
     first, *others = findings(commands, fly(RASCAL, commands, late), model)
     assert first.startswith("latency: the recorded aileron is 80 ms behind the model's")
     assert others == []
+
+
+def test_slow_commands_do_not_point_to_latency(commands, setup, model):
+    """Roll commands of twice a second are late; only the rates of the log tell that from a lag."""
+    sent = np.floor(2.0 * (commands.time_s - 0.25)) / 2.0 + 0.25
+    last = np.maximum(np.searchsorted(commands.time_s, sent, side="right") - 1, 0)
+    held = replace(commands, values=np.column_stack([commands.time_s, commands.values[last, 1:]]))
+    replayed = fly(RASCAL, held, setup)
+    known = replace(held, rates_hz={"phi_cmd_rad": 2.0, "theta_cmd_rad": 2.0})
+    found = findings(known, model, replayed)
+    text = "latency: cannot be found, as phi_cmd_rad came 2 times a second and its steps may be 500"
+    assert found[0].startswith(text)
+    assert not any("the recorded" in each or "mass" in each for each in found), found
+    found = findings(held, model, replayed)
+    ahead = re.match(r"latency: the recorded aileron is (\d+) ms ahead of the model's", found[0])
+    assert int(ahead[1]) == pytest.approx(240, abs=10)
+    fast = replace(held, rates_hz={"phi_cmd_rad": 25.0})
+    assert findings(fast, model, replayed)[0] == found[0]
+
+
+def test_gusts_share_the_blame_for_mean_differences():
+    """A mean that gusts of the log may give is no fault of the aircraft; a larger one is."""
+    time = np.arange(0.0, 150.0, 0.2)
+    zeros = np.zeros((len(time), len(RESPONSES)))
+    wind = np.sqrt(2.0) * np.column_stack([np.sin(0.7 * time), np.cos(0.7 * time)])
+
+    def trim_findings(climb_mps, **known):
+        recorded, model = zeros.copy(), zeros.copy()
+        model[:, RESPONSES.index("v_down_mps")] = -climb_mps
+        values = np.column_stack([time, np.zeros((len(time), 3))])
+        flight = Commands(Path("c.csv"), (), values, {}, {}, None, **known)
+        return compare_response(recorded_as(flight, recorded), model).findings
+
+    (still,) = trim_findings(0.45)
+    assert "climbs more, by 0.45 m/s on average: mass, drag, thrust" in still
+    (gusty,) = trim_findings(0.45, wind_mps=wind)
+    assert "mass" not in gusty and "climb rate +0.45 m/s may have other causes" in gusty
+    assert "the wind varied by 1 m/s, and the model flies in still air" in gusty
+    assert trim_findings(0.45, wind_mps=0.2 * wind) == (still,)  # hardly any gusts
+    (large,) = trim_findings(2.0, wind_mps=wind)
+    assert "by 2.00 m/s on average: mass, drag, thrust" in large
+    (slow,) = trim_findings(0.45, rates_hz={"throttle_cmd": 4.0})
+    assert "mass, drag" in slow  # steady
+
+
+def test_rates_are_kept_beside_a_recording(commands, tmp_path):
+    """What `write_sources` writes is read with the commands; an unusable file is refused."""
+    path = tmp_path / "flight.csv"
+    path.write_bytes(commands.path.read_bytes())
+    assert read_commands(path).rates_hz == {}
+    sources = {"phi_cmd_rad": "NAV_CONTROLLER_OUTPUT.nav_roll", "throttle": "0: not recorded"}
+    write_sources(path, "flight.tlog", sources, {"phi_cmd_rad": 2.0})
+    assert read_commands(path).rates_hz == {"phi_cmd_rad": 2.0}
+    for text in ("[]", "{", '{"columns": {"a": {"rate_hz": "x"}}}', '{"columns": {"a": 3}}'):
+        sources_file(path).write_text(text, encoding="utf-8")
+        with pytest.raises(InputError, match="flight.sources.json: .*import the log again, or rem"):
+            read_commands(path)
+    sources_file(path).write_text('{"columns": {"a": {"rate_hz": 0}}}', encoding="utf-8")
+    with pytest.raises(InputError, match="rate_hz must be above 0"):
+        read_commands(path)
+    sources_file(path).unlink()  # the remedy
+    assert len(read_commands(path).values) == len(commands.values)
 
 
 @pytest.mark.parametrize(

@@ -39,7 +39,7 @@ def test_restart_with_room_is_by_the_receiver():
     assert clock.starts == pytest.approx((30.0,))
 
 
-def test_messages_beyond_the_attitudes_keep_their_distance():
+def test_messages_after_the_last_attitude_keep_apart():
     """A message 3 s after the last attitude is at +3 s, one 2 s before the first at −2 s."""
     attitudes = received(SECONDS, 50.0 + SECONDS, first=1)
     clock = VehicleClock(attitudes)

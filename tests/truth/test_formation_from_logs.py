@@ -27,6 +27,7 @@ from testbed.recordings.column_map import read_mapped
 from testbed.recordings.motion import complete, default_origin
 from testbed.recordings.tracks import read_tracks
 from testbed.runs.external_options import ExternalOptions
+from testbed.vehicle.command_files import read_commands
 from testbed.views.scene import overlay_scenes, scene_of
 
 ORIGIN = {"latitude_deg": -16.8, "longitude_deg": 179.9995, "elevation_m": 10.0}
@@ -117,6 +118,17 @@ def test_leader_of_a_log_flies_its_path(leaders, flight, kind):
     late = sample_recording(recording, flight.time_s[flight.time_s >= 0.1] - 0.1)
     moved = late.position_ned - flight.truth.position_ned[flight.time_s >= 0.1, 0]
     assert np.linalg.norm(moved, axis=1).min() > 2.0
+
+
+def test_import_keeps_rates_and_wind(leaders):
+    """Beside the recording of a .tlog: demands twice a second; in it: still air."""
+    found = read_commands(leaders / "tlog.csv")
+    assert found.rates_hz["phi_cmd_rad"] == pytest.approx(2.0, rel=0.05)
+    assert found.rates_hz["phi_rad"] == pytest.approx(10.0, rel=0.05)
+    assert np.abs(found.wind_mps).max() < 1e-6
+    written = json.loads((leaders / "tlog.sources.json").read_text(encoding="utf-8"))
+    assert written["log"] == "run.tlog"
+    assert written["columns"]["phi_cmd_rad"]["source"] == "NAV_CONTROLLER_OUTPUT.nav_roll"
 
 
 def numpy_errors(flown):
