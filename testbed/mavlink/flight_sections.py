@@ -39,7 +39,7 @@ def longest_interval(
     breaks = np.flatnonzero((np.diff(where) > 1) | pause | other_flight) + 1
     intervals = [part for part in np.split(time[where], breaks) if len(part) > 1]
     if not intervals:
-        raise MavlinkError(_no_interval(log, time, mode))
+        raise MavlinkError(_no_interval(log, time, mode, begin, end))
     longest = max(intervals, key=lambda part: float(part[-1] - part[0]))
     others = ", ".join(
         f"{part[0]:.1f} to {part[-1]:.1f}" for part in intervals if part is not longest
@@ -82,7 +82,7 @@ def all_rows(
     wanted &= position.near(time)
     flight = log.flight_numbers(time)
     if np.count_nonzero(wanted) < 2:
-        raise MavlinkError(_no_interval(log, time, mode))
+        raise MavlinkError(_no_interval(log, time, mode, begin, end))
     most = int(np.argmax(np.bincount(flight[wanted])))
     found: Array = time[wanted & (flight == most)]
     return found
@@ -96,10 +96,11 @@ def without_ends(time: Array, position: LogPosition) -> Array:
     return inside if few else time
 
 
-def _no_interval(log: FlightLog, time: Array, mode: str) -> str:
+def _no_interval(log: FlightLog, time: Array, mode: str, begin: float, end: float) -> str:
     modes = ", ".join(f"{mode_name(m.mode)} {m.start:.1f} to {m.end:.1f}" for m in log.modes)
+    between = " between --from and --to" if np.isfinite([begin, end]).any() else ""
     return (
-        f"{log.path}: nothing in {mode} between --from and --to; it has attitude from "
+        f"{log.path}: nothing in {mode}{between}; it has attitude from "
         f"{time[0]:.1f} to {time[-1]:.1f} s and the modes {modes or '(none logged)'}; write "
         "another --mode, or --mode any"
     )

@@ -166,15 +166,17 @@ def gust_input_warnings(
     """Warn of aircraft whose model has no input for rotations of the air."""
     if models is None or steady_air:
         return
-    missing = zip(fleet.model_rows, models.no_gust_inputs, strict=True)
-    for row, no_inputs in missing:
+    rows: dict[str, list[str]] = {}  # names by model
+    for row, no_inputs in zip(fleet.model_rows, models.no_gust_inputs, strict=True):
         if no_inputs:
-            text = (
-                "rotations of the air and rolling moments of wakes have no effect on it: its model "
-                "lacks one of the properties air/p-rad_sec, air/q-rad_sec, air/r-rad_sec and "
-                "air/roll-coefficient"
-            )
-            yield Event(0.0, "warning", fleet.names[row], text)
+            rows.setdefault(fleet.aircraft[row].folder.name, []).append(fleet.names[row])
+    for model, names in rows.items():
+        text = (
+            "rotations of the air and rolling moments of wakes have no effect on "
+            f"{', '.join(names)}: {model} lacks one of the properties air/p-rad_sec, "
+            "air/q-rad_sec, air/r-rad_sec and air/roll-coefficient"
+        )
+        yield Event(0.0, "warning", names[0], text)
 
 
 def airframe_notes(fleet: Fleet) -> Iterator[Event]:

@@ -211,8 +211,11 @@ def _not_found(
         message += f" (write the path of {path_of}, or the name of {article} {what}{hint})"
     else:
         names = ", ".join(known) or "none"
+        beside = [f"{text}{suffix}" for suffix in (_YAML, _PARAM) if suffix in path_of]
+        beside = [each for each in beside if is_file(looked_at.with_name(each))]
+        hint = f": did you mean {beside[0]!r}?" if beside else did_you_mean(text, known)
         message = (
-            f"there is no {what} {text!r}{did_you_mean(text, known)} (write one of: {names}; or "
+            f"there is no {what} {text!r}{hint} (write one of: {names}; or "
             f"the path of {path_of}, relative to {looked_at.parent})"
         )
     return error_at(FilePosition(text), message)

@@ -20,6 +20,9 @@ from testbed.trials.step_responses import StepResponses
 FULL_OUTPUT = math.radians(45.0)  # of a surface, which ArduPlane's gains are per
 ROLL_LIMIT_DEG = 45.0
 PITCH_LIMIT_DEG = 20.0
+# Ends of ArduPlane's ranges, beyond which each flight has a warning.
+LARGEST_ROLL_RATE_DEG = 180.0  # deg/s
+LEAST_AIRSPEED = 5.0  # m/s
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +54,7 @@ def first_params(steps: StepResponses, level: LevelFlight) -> FbwaParams:
     pitch_p = min(pitch_ff, FULL_OUTPUT * min(0.5 * short_period, 6.0) / steps.pitch_acceleration)
     speed = steps.equivalent_airspeed
     stall = level.lowest / eas2tas
-    slowest = min(1.2 * stall, 0.9 * speed)
+    slowest = min(max(1.2 * stall, LEAST_AIRSPEED), 0.9 * speed)
     values: dict[str, float] = {
         "airspeed_min": slowest,
         "airspeed_cruise": speed,
@@ -65,7 +68,7 @@ def first_params(steps: StepResponses, level: LevelFlight) -> FbwaParams:
         "trim_throttle": 100.0 * level.throttle,
         "kff_rddrmix": steps.rudder_mix,
         "rll2srv_tconst": roll_tconst,
-        "rll2srv_rmax": 0.6 * math.degrees(steps.roll_rate),
+        "rll2srv_rmax": min(0.6 * math.degrees(steps.roll_rate), LARGEST_ROLL_RATE_DEG),
         "rll_rate_ff": roll_ff,
         "rll_rate_p": roll_ff * min(max(6.0 * steps.roll_s - 0.5, 0.1), 0.5),
         "rll_rate_i": roll_ff * min(1.0, 1.0 / (3.0 * roll_tconst)),
