@@ -66,7 +66,7 @@ train: $(STAMP) $(TRAINING_STAMP)
 		$(BIN)/python examples/hold_slot_training.py $(ARGS)
 
 # Everything: the tests, 1,000 starts of the theorem, statistics of air and network on more samples,
-# compiled flight models from 1,000 states, broken MAVLink frames, flight logs and input files, aircraft that try to act, any arguments from Python,
+# compiled flight models from 1,000 states and their functions at 100,000 arguments, broken MAVLink frames, flight logs and input files, aircraft that try to act, any arguments from Python,
 # numbers of a scenario at and beyond their bounds,
 # real time with nothing else running, a study whose processes are killed, 200 runs killed at random
 # moments and 200 stopped by two signals, the snippets of every docs page, laws of large formations, every
@@ -97,7 +97,9 @@ check-all: test release
 	@TESTBED_WHOLE=1 $(BIN)/pytest -q -n $(JOBS) tests/golden paper/tests \
 		tests/contract/test_saved_flights.py
 	@TESTBED_PREPARED=1 $(BIN)/pytest -q -n $(JOBS) tests/contract/test_prepare.py
-	@TESTBED_ENGINES=1 $(BIN)/pytest -q -n $(JOBS) tests/contract/test_engine.py
+	@TESTBED_ENGINES=1 $(BIN)/pytest -q -n $(JOBS) tests/contract/test_engine.py \
+		tests/contract/test_engine_powers.py
+	@TESTBED_LITERALS=100000 $(BIN)/pytest -q tests/equations/test_compiled_literals.py
 	@TESTBED_STUDIES=1 $(BIN)/pytest -q tests/contract/test_sweep.py
 	@TESTBED_KILLS=200 TESTBED_CUTS=40 $(BIN)/pytest -q -n $(JOBS) tests/contract/test_endings.py \
 		tests/contract/test_recover.py

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -90,7 +91,9 @@ def new_aircraft_command(
         copy_aircraft,
         declare_missing,
     )
+    from testbed.vehicle.compiled_fleet import untranslated
     from testbed.vehicle.jsbsim_adapter import SHARED_FILES, airframe
+    from testbed.vehicle.replay_commands import BASE_RATE_HZ
 
     target = Path(file.stem) if into is None else into
     check_folder_name(target.name)
@@ -109,8 +112,9 @@ def new_aircraft_command(
             error.args = (copied.in_originals(str(error)), *error.args[1:])
             raise
         write_aircraft_files(copied, found)
+        reasons = [copied.in_originals(each) for each in untranslated(folder, BASE_RATE_HZ)]
         _draw(folder / PICTURE, found)
-    write_json_output(json, _document(target, copied, found))
+    write_json_output(json, _document(target, copied, found, reasons))
     console = result_console(json)
     console.write_line(Text.assemble(" ", (target.name, "bold"), f" · from {file}"))
     console.write_line()
@@ -119,7 +123,7 @@ def new_aircraft_command(
     for table in (_level_table(found), _flight_table(found)):
         console.print_table(table)
         console.write_line()
-    for line in _ending(target, found):
+    for line in (*describe_engine(reasons), *_ending(target, found)):
         console.write_line(f" {line}")
 
 
@@ -202,6 +206,13 @@ def _flight_table(found: DerivedAircraft) -> Table:
     return table
 
 
+def describe_engine(reasons: Sequence[str]) -> list[str]:
+    """Return what steps the aircraft, and why."""
+    if not reasons:
+        return ["engine: compiled, if it equals JSBSim when testbed validate or a flight proves it"]
+    return ["engine: JSBSim, as parts of the aircraft are not compiled:", *reasons]
+
+
 def _ending(folder: Path, found: DerivedAircraft) -> list[str]:
     lines = []
     if found.speed is not None:
@@ -222,7 +233,9 @@ def _ending(folder: Path, found: DerivedAircraft) -> list[str]:
     ]
 
 
-def _document(folder: Path, copied: CopiedAircraft, found: DerivedAircraft) -> dict[str, Any]:
+def _document(
+    folder: Path, copied: CopiedAircraft, found: DerivedAircraft, reasons: Sequence[str]
+) -> dict[str, Any]:
     from dataclasses import asdict
 
     from testbed.trials.aircraft_files import check_document
@@ -236,6 +249,7 @@ def _document(folder: Path, copied: CopiedAircraft, found: DerivedAircraft) -> d
         },
         "cut": [{"place": str(each.place), "element": each.element} for each in copied.cuts],
         "declared": copied.declared,
+        "not_compiled": list(reasons),
         "level_flight": asdict(found.level),
         "trims": [
             {

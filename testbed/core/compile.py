@@ -325,6 +325,11 @@ def reporting(progress: Progress | None) -> Iterator[None]:
         _progress.reset(token)
 
 
+def current_progress() -> Progress | None:
+    """Return the function of `reporting`, if there is one."""
+    return _progress.get()
+
+
 def prepare(
     calls: Iterable[Arguments],
     progress: Progress | None = None,

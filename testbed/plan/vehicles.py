@@ -30,8 +30,7 @@ from testbed.scenario.aircraft import VirtualAutopilot
 from testbed.scenario.checks import LOWEST_START_M
 from testbed.scenario.control import Controller
 from testbed.scenario.sections import Rates
-from testbed.vehicle.compiled import NotTranslated
-from testbed.vehicle.compiled_fleet import CompiledFleet, find_engines
+from testbed.vehicle.compiled_fleet import make_compiled_fleet
 from testbed.vehicle.fleet import FlightModels
 from testbed.vehicle.jsbsim_adapter import airframe_warnings
 from testbed.vehicle.trim import InitialState, error_prefix
@@ -230,17 +229,11 @@ def _build_models(
         for each, start in zip(modelled, starts, strict=True)
     ]
     with error_prefix("fleet"):
-        compiled, reason = find_engines(folders, clock.base_rate_hz, engine)
-        models: FlightModels | None = None
-        if compiled:
-            try:
-                models = CompiledFleet(compiled, starts, origin, clock.base_rate_hz)
-            except NotTranslated as error:  # as of a filter that starts at its limit
-                if engine == "compiled":
-                    raise
-                reason = str(error)
-        if models is None:
-            models = make_fleet(folders, starts, origin, clock.base_rate_hz, processes=processes)
+        rate = clock.base_rate_hz
+        compiled, reason = make_compiled_fleet(folders, starts, origin, rate, engine)
+        models: FlightModels = compiled or make_fleet(
+            folders, starts, origin, rate, processes=processes
+        )
         models.engine_reason = reason
         return models
 

@@ -155,7 +155,7 @@ class _TerminalBar:
             self.close()
 
     def _begin(self, phase: str, total: float) -> None:
-        from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+        from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
         from rich.progress import Progress as Bar
 
         self.close()
@@ -166,7 +166,11 @@ class _TerminalBar:
             TextColumn("[bold]{task.description}"),
             BarColumn(bar_width=None),
             TextColumn(f"{{task.completed:.0f}} of {{task.total:.0f}} {_UNITS[phase]}"),
-            *([_factor_column(), TimeRemainingColumn(compact=True)] if phase == "flying" else []),
+            *(
+                [_factor_column(), TimeRemainingColumn(compact=True)]
+                if phase == "flying"
+                else [TimeElapsedColumn()]
+            ),
             console=self._console,
             transient=True,
         )
@@ -200,7 +204,7 @@ class _LogLines:
     def __init__(self, name: str, console: Console) -> None:
         self._name, self._console = name, console
         self._notified = False
-        self._phase, self._shown = "", 0.0
+        self._phase, self._shown, self._begun = "", 0.0, 0.0
 
     def __call__(self, phase: str, done: float, total: float) -> None:
         if phase == "compiling" and not self._notified:
@@ -208,7 +212,12 @@ class _LogLines:
             self._console.print(NOTICE, soft_wrap=True)
         now = time.monotonic()
         if phase != self._phase:
-            self._phase, self._shown = phase, now
+            self._phase, self._shown, self._begun = phase, now, now
+        if phase == "compiling" and done == total and now - self._begun >= _LOG_S:
+            self._shown = now
+            took = f"{now - self._begun:.0f} s"
+            self._console.print(f"compiling: {_text(phase, done, total)} in {took}", markup=False)
+            return
         if now - self._shown >= _LOG_S:
             self._shown = now
             subject = phase if phase == "compiling" else self._name

@@ -20,7 +20,6 @@ from testbed.flight.world import World
 from testbed.formation.law import Saturation
 from testbed.formation.slots import write_formation_state
 from testbed.network.links import resolve_links
-from testbed.plan.world import build
 from testbed.scenario import Scenario
 from testbed.scenario.arguments import with_changes
 from testbed.scenario.network import Bernoulli, Link, Network
@@ -33,6 +32,7 @@ from testbed.trials.delay_offset import (
 )
 from testbed.trials.steady_flight import (
     MarginsError,
+    build_compiled,
     check_measurable,
     check_roll_limits,
     steady_scenario,
@@ -97,7 +97,7 @@ def _build(scenario: Scenario, bank_deg: float) -> World:
     steady = steady_scenario(scenario, bank_deg, scenario.scenario.engine)
     duration_s = SETTLE_S + RANDOM_LOOK_S + 2.0 * LOOK_S
     header = with_changes(steady.scenario, duration_s=duration_s)
-    world = build(with_changes(steady, scenario=header))
+    world = build_compiled(with_changes(steady, scenario=header))
     check_roll_limits(world, abs(bank_deg))
     return world
 

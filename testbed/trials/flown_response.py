@@ -13,7 +13,6 @@ from typing import NamedTuple
 import numpy as np
 
 from testbed.core.records import Array
-from testbed.plan.world import build
 from testbed.scenario import Scenario
 from testbed.trials.frequency_response import (
     GUST_INPUTS,
@@ -25,7 +24,7 @@ from testbed.trials.frequency_response import (
     slot_motion,
 )
 from testbed.trials.held_flight import HeldFlight
-from testbed.trials.steady_flight import check_measurable, steady_scenario
+from testbed.trials.steady_flight import build_compiled, check_measurable, steady_scenario
 from testbed.trials.straight_formation import SETTLED_S
 
 RECORD_S = 40.0  # of it at least, in whole periods
@@ -102,7 +101,7 @@ class _Flight:
 
     def __init__(self, scenario: Scenario) -> None:
         """Begin the flight."""
-        self._flight = HeldFlight(build(scenario))
+        self._flight = HeldFlight(build_compiled(scenario))
         world = self._flight.world
         self.speed = float(np.linalg.norm(world.aircraft["truth"]["velocity_ned"][0]))
         self.offsets: Array = np.array(world.formation.control.offsets[1:])

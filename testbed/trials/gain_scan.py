@@ -13,7 +13,6 @@ import numpy as np
 
 from testbed.core.errors import InputError
 from testbed.core.records import Records
-from testbed.plan.world import build
 from testbed.scenario import Scenario, load_scenario
 from testbed.scenario.arguments import check_overrides, check_path
 from testbed.trials.held_flight import COMMANDS
@@ -21,7 +20,7 @@ from testbed.trials.linear_formation import CommandMargins, LinearFormation, joi
 from testbed.trials.period_map import linearise_control
 from testbed.trials.predicted_margins import linearise
 from testbed.trials.state_space import fly_or_refuse
-from testbed.trials.steady_flight import steady_scenario
+from testbed.trials.steady_flight import build_compiled, steady_scenario
 
 SAME_COMMANDS = 2e-3  # rad, and of the throttle, between the steady commands of two sets of gains
 
@@ -72,7 +71,8 @@ class GainScan:
                 f"overrides: {', '.join(overrides)}: changes more than gains (write keys of "
                 "controller, or of formation but its offsets)"
             )
-        world = build(steady_scenario(scenario, self._turn[0], "compiled", self._turn[1]))
+        steady = steady_scenario(scenario, self._turn[0], "compiled", self._turn[1])
+        world = build_compiled(steady)
         own = self._flight.world.formation.built_control
         new = world.formation.built_control
         if not np.array_equal(new.neighbours["used"], own.neighbours["used"]):

@@ -22,6 +22,7 @@ from testbed.plan.world import build
 from testbed.scenario import Scenario
 from testbed.scenario.aircraft import ArduPlane
 from testbed.trials.held_flight import COMMANDS, HeldFlight
+from testbed.vehicle.compiled_fleet import ENGINE_REMEDY, NotCompiledError
 
 SETTLE_S, LONGEST_SETTLE_S = 60.0, 180.0
 LOOK_S = 5.0  # before the disturbance: banks are averaged over it, and must not change
@@ -111,6 +112,21 @@ def steady_scenario(
     data["scenario"] |= {"windows": {}, "published": None, "engine": engine}
     data["scenario"]["duration_s"] = duration_s
     return Scenario.model_validate(data)
+
+
+def build_compiled(scenario: Scenario) -> World:
+    """Build a flight of `steady_scenario` whose models are compiled, whatever the user's engine.
+
+    Raises:
+        InputError: an aircraft is not compiled, or as of any scenario.
+    """
+    try:
+        return build(scenario)
+    except NotCompiledError as error:
+        reasons = str(error).removesuffix(ENGINE_REMEDY)
+        raise InputError(
+            f"{reasons} (predictions need compiled flight models: change the aircraft's files)"
+        ) from None
 
 
 def _radius(speed: float, bank: float, outside: float) -> float:

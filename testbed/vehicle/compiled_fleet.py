@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from testbed.core.call_list import Call, Step
-from testbed.core.compile import entry, is_interpreted, prepare
-from testbed.core.errors import InputError
+from testbed.core.compile import Progress, current_progress, entry, is_interpreted, prepare
+from testbed.core.errors import InputError, raise_memory_shortage
 from testbed.core.frames import FOOT
 from testbed.core.records import Array, BoolArray, ByteArray, Indices, NedOrigin, Records, Values
 from testbed.vehicle.compiled import CompiledAircraft, NotTranslated
@@ -24,9 +25,18 @@ from testbed.vehicle.jsbsim_adapter import VERSION, cache_by_folder, load
 from testbed.vehicle.jsbsim_io import BATTERY_PROPERTIES, CONTROLS, lead_controls, write_truth
 from testbed.vehicle.trim import InitialState, TrimResult
 
+_MOST_REASONS = 20  # in an error
+_MAX_REASON = 300  # characters of another library's error
 _LEFT = 255  # status of a row that is not advanced any more
 _PROOFS: dict[tuple[str, int], Proof] = {}  # by source and rate
 _INITIAL_CHARGE, _CHARGE = "battery/initial-state-of-charge", BATTERY_PROPERTIES[0]
+
+
+ENGINE_REMEDY = " (write engine: auto, and JSBSim flies the aircraft)"
+
+
+class NotCompiledError(InputError):
+    """An aircraft is not compiled where the engine is "compiled"; the text ends with the remedy."""
 
 
 class Engine(NamedTuple):
@@ -34,35 +44,95 @@ class Engine(NamedTuple):
 
     Attributes:
         compiled: the compiled model; None: only JSBSim.
-        reason: why, in words.
+        reasons: why, one or more.
     """
 
     compiled: CompiledAircraft | None
-    reason: str
+    reasons: tuple[str, ...]
 
 
 @cache_by_folder(maxsize=64)
 def find_engine(folder: Path, rate_hz: int) -> Engine:
     """Translate the aircraft in a folder, and prove that it equals the installed JSBSim.
 
+    Whatever cannot be translated, compiled or proved is a reason for JSBSim.
+
     Raises:
         AircraftError: JSBSim cannot load the aircraft.
     """
+    model = load(folder, rate_hz)
     try:
-        compiled = CompiledAircraft(folder, load(folder, rate_hz))
+        with _as_reasons(f"{folder.name}: cannot be translated"):
+            compiled = CompiledAircraft(folder, model)
+        with _as_reasons(f"{folder.name}: cannot be compiled"):
+            prepare([(compiled.run_rows, _example(compiled))], _guarded(current_progress()))
+        with _as_reasons(f"{folder.name}: cannot be compared with JSBSim {VERSION}"):
+            # another mass or another value of a property is another row of the same function
+            key = compiled.source, rate_hz
+            proof = _PROOFS.get(key) or prove_aircraft(compiled, rate_hz)
+            if not proof.equal:
+                raise NotTranslated(f"{folder.name}: compiled, {proof.unequal}")
     except NotTranslated as error:
-        return Engine(None, str(error))
-    prepare([(compiled.run_rows, _example(compiled))])
-    # another mass or another value of a property is another row of the same function
-    key = compiled.source, rate_hz
-    proof = _PROOFS.get(key) or prove_aircraft(compiled, rate_hz)
-    if proof.equal:
-        _PROOFS[key] = proof
-    else:
-        return Engine(None, f"{folder.name}: compiled, {proof.unequal}: it is flown by JSBSim")
-    return Engine(
-        compiled, f"{folder.name} equals JSBSim {VERSION} in {proof.compared:,} compared numbers"
-    )
+        return Engine(None, tuple(str(error).splitlines()))
+    _PROOFS[key] = proof
+    compared = f"{proof.compared:,} compared numbers"
+    return Engine(compiled, (f"{folder.name} equals JSBSim {VERSION} in {compared}",))
+
+
+def untranslated(folder: Path, rate_hz: int) -> tuple[str, ...]:
+    """Return why the aircraft in a folder cannot be translated; none: it can.
+
+    Such an aircraft is still compared with JSBSim before it flies compiled.
+
+    Raises:
+        AircraftError: JSBSim cannot load the aircraft.
+    """
+    model = load(folder, rate_hz)
+    try:
+        with _as_reasons(f"{folder.name}: cannot be translated"):
+            CompiledAircraft(folder, model)
+    except NotTranslated as error:
+        return tuple(str(error).splitlines())
+    return ()
+
+
+class _ProgressFailed(Exception):  # noqa: N818 - carries the error of a user's function
+    """An error of the function that shows progress, which is no fault of an aircraft."""
+
+
+def _guarded(progress: Progress | None) -> Progress | None:
+    """Return a progress function whose errors are told apart from those of compiling."""
+    if progress is None:
+        return None
+
+    def show(done: int, total: int) -> None:
+        try:
+            progress(done, total)
+        except Exception as error:
+            raise _ProgressFailed from error
+
+    return show
+
+
+@contextmanager
+def _as_reasons(where: str) -> Iterator[None]:
+    """Turn any error in the block into NotTranslated.
+
+    Raises:
+        NotTranslated: the block has failed.
+        MemoryError: for lack of memory, which JSBSim needs, too.
+    """
+    try:
+        yield
+    except NotTranslated:
+        raise
+    except _ProgressFailed as error:
+        assert error.__cause__ is not None, "it has the error that was raised"
+        raise error.__cause__ from None
+    except Exception as error:
+        raise_memory_shortage(error)
+        text = " ".join(str(error).split())[:_MAX_REASON]
+        raise NotTranslated(f"{where} ({type(error).__name__}: {text})") from error
 
 
 def _example(aircraft: CompiledAircraft) -> tuple[object, ...]:
@@ -90,13 +160,55 @@ def find_engines(
     if engine == "jsbsim" or (engine == "auto" and is_interpreted()):
         return (), ""
     engines = [find_engine(each, rate_hz) for each in folders]
-    for each in engines:
-        if each.compiled is None:
-            if engine == "compiled":
-                raise InputError(f"engine: compiled: {each.reason} (write engine: auto)")
-            return (), each.reason
+    missing = [why for each in engines if each.compiled is None for why in each.reasons]
+    if missing:
+        return (), _fall_back(missing, engine)
     compiled = tuple(each.compiled for each in engines if each.compiled is not None)
-    return compiled, "; ".join(dict.fromkeys(each.reason for each in engines))
+    return compiled, "; ".join(dict.fromkeys(why for each in engines for why in each.reasons))
+
+
+def _fall_back(reasons: Sequence[str], engine: str) -> str:
+    """Return why JSBSim flies the aircraft, in a line.
+
+    Raises:
+        NotCompiledError: the engine is "compiled".
+    """
+    reasons = list(dict.fromkeys(reasons))
+    if engine == "compiled":
+        shown = "\n".join(reasons[:_MOST_REASONS])
+        more = len(reasons) - _MOST_REASONS
+        last = f"\nand {more} more" if more > 0 else ""
+        raise NotCompiledError(f"engine: compiled: {shown}{last}{ENGINE_REMEDY}")
+    return f"{'; '.join(reasons)}; the aircraft is flown by JSBSim"
+
+
+def make_compiled_fleet(
+    folders: Sequence[Path],
+    starts: Sequence[InitialState],
+    origin: NedOrigin,
+    rate_hz: int,
+    engine: str,
+) -> tuple[CompiledFleet | None, str]:
+    """Make a fleet of compiled aircraft, or none where JSBSim flies all, and the reason in words.
+
+    Args:
+        folders: N of aircraft.
+        starts: N initial states.
+        origin: of the local frame; its elevation is the terrain's.
+        rate_hz: steps per second.
+        engine: "auto", "jsbsim" or "compiled".
+
+    Raises:
+        InputError: the engine is "compiled", and an aircraft cannot be, or not from its start.
+        AircraftError, TrimError: of an aircraft and its start.
+    """
+    compiled, reason = find_engines(folders, rate_hz, engine)
+    if not compiled:
+        return None, reason
+    try:
+        return CompiledFleet(compiled, starts, origin, rate_hz), reason
+    except NotTranslated as error:  # as of a filter that starts at its limit
+        return None, _fall_back(str(error).splitlines(), engine)
 
 
 class PlacedRow(NamedTuple):
@@ -118,7 +230,9 @@ def _place_row(folder: Path, start: InitialState, origin: NedOrigin, rate_hz: in
     aircraft = find_engine(folder, rate_hz).compiled
     assert aircraft is not None, "`find_engines` has returned it"
     placed = place_model(folder, start, origin, rate_hz, watch=aircraft.watch)
-    return PlacedRow(aircraft.row_of(placed.model), placed.trim, placed.leads)
+    with _as_reasons(f"{folder.name}: its start cannot be compiled"):
+        row = aircraft.row_of(placed.model)
+    return PlacedRow(row, placed.trim, placed.leads)
 
 
 class CompiledRows(NamedTuple):
@@ -157,6 +271,7 @@ class CompiledFleet(FlightModels):
 
         Raises:
             TrimError: see `place_model`.
+            NotTranslated: only JSBSim flies an aircraft from its start.
         """
         folders, n = [each.folder for each in aircraft], len(aircraft)
         placed = [

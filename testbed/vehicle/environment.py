@@ -45,18 +45,28 @@ def describe_integrators(integrators: Integrators = INTEGRATORS) -> dict[str, st
     }
 
 
-def set_environment(fdm: Any, integrators: Integrators = INTEGRATORS) -> None:  # noqa: ANN401
-    """Set planet, gravity, atmosphere, wind and integrators.
+def load_planet(fdm: Any) -> None:  # noqa: ANN401
+    """Load the planet: the Earth, WGS 84 with J2.
 
-    The planet is the Earth, WGS 84 with J2, also when the aircraft file names another one. JSBSim's
-    atmosphere there is the US standard atmosphere of 1976. Its own turbulence is off: wind is what
-    is written to atmosphere/wind-north-fps, -east-fps and -down-fps.
+    It resets all models of JSBSim, so it comes before the aircraft: of a loaded one, the limits of
+    the stall's hysteresis would be lost.
 
     Args:
-        fdm: JSBSim's FGFDMExec with a model loaded.
+        fdm: JSBSim's FGFDMExec without a model.
+    """
+    fdm.load_planet(str(_EARTH), False)
+
+
+def set_environment(fdm: Any, integrators: Integrators = INTEGRATORS) -> None:  # noqa: ANN401
+    """Set gravity, atmosphere, wind and integrators.
+
+    JSBSim's atmosphere is the US standard atmosphere of 1976. Its own turbulence is off: wind is
+    what is written to atmosphere/wind-north-fps, -east-fps and -down-fps.
+
+    Args:
+        fdm: JSBSim's FGFDMExec with the planet, and a model after it.
         integrators: of body rates, velocity, attitude and position.
     """
-    fdm.load_planet(str(_EARTH), False)  # resets the integrators
     fdm["simulation/gravity-model"] = _WGS84_GRAVITY
     fdm["atmosphere/turb-type"] = _NO_TURBULENCE
     for state, method in zip(_STATES, integrators, strict=False):

@@ -31,7 +31,7 @@ from testbed.vehicle.airframe_measurement import (
 )
 from testbed.vehicle.airframe_validation import MAX_BYTES, probe_in_copy
 from testbed.vehicle.control_surfaces import ControlGeometry, find_control_geometry
-from testbed.vehicle.environment import INTEGRATORS, Integrators
+from testbed.vehicle.environment import INTEGRATORS, Integrators, load_planet
 from testbed.vehicle.inertia import impossible_inertia, unlikely_inertia
 from testbed.vehicle.jsbsim_model import JsbsimModel, Traits
 from testbed.vehicle.linearize import Linear, NaturalMode, find_modes, linearize
@@ -366,6 +366,7 @@ def load_executive(folder: Path) -> jsbsim.FGFDMExec:
     fdm.set_aircraft_path(str(folder.parent))
     fdm.set_engine_path(str(folder / "Engines"))
     fdm.set_systems_path(str(folder / "Systems"))
+    load_planet(fdm)
     if not fdm.load_model(folder.name):
         raise AircraftError("JSBSim cannot load it")
     fdm.disable_output()

@@ -32,6 +32,7 @@ _RESTLESS = 1e-3  # relative change in the last step
 _WARM_UP_STEPS = 400  # with the starter off
 INTEGRATOR_STEPS = 6  # one more than JSBSim's integrators use
 NO_TIME = 1e-12  # s
+_ATTACHED = math.cos(-0.5), math.sin(-0.5)  # of an angle of attack below any stall
 POUND = 4.4482216152605  # N, of force
 _SLUG_FOOT2 = POUND * FOOT  # kg m²; a slug is a pound-force per foot/s²
 _RANKINE = 1.8  # degrees Rankine per kelvin
@@ -99,6 +100,8 @@ class JsbsimModel:
             *(node.set_double_value for node in surfaces),
             self.power.set_throttle,
         )
+        hysteresis = self.find("aero/stall-hyst-norm")
+        self._is_stalled = hysteresis.get_double_value if hysteresis else lambda: 0.0
         self._moments = [self.node(f"moments/{axis}-aero-lbsft").get_double_value for axis in "lmn"]
         self._hold = self.node("forces/hold-down").set_double_value
         self.winds = tuple(
@@ -227,6 +230,12 @@ class JsbsimModel:
             spin: let propeller and surfaces settle first.
         """
         self._command(controls)
+        if self._is_stalled():  # by an earlier placement: between the limits it would stay so
+            speed = math.hypot(*placement.velocity_body)
+            level = replace(
+                placement, velocity_body=(speed * _ATTACHED[0], 0.0, speed * _ATTACHED[1])
+            )
+            self._initialise(level, course, STILL)
         if spin:
             if not self.power.runs:
                 self._start(placement, course)

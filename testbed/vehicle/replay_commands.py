@@ -35,7 +35,7 @@ from testbed.vehicle.command_files import (
     rows_flown,
     write_response,
 )
-from testbed.vehicle.compiled_fleet import CompiledFleet, find_engines
+from testbed.vehicle.compiled_fleet import make_compiled_fleet
 from testbed.vehicle.environment import INTEGRATORS, Integrators
 from testbed.vehicle.fleet import FlightModels, JsbsimFleet, Move
 from testbed.vehicle.jsbsim_adapter import modes_of_aircraft
@@ -135,12 +135,8 @@ def replay(
     starts = [replace(setup.start(commands), airspeed=each.airspeed) for each in candidates]
     if setup.integrators != INTEGRATORS:
         engine = "jsbsim"  # compiled models have the default ones
-    compiled, _ = find_engines(folders, BASE_RATE_HZ, engine)
-    fleet = (
-        CompiledFleet(compiled, starts, origin, BASE_RATE_HZ)
-        if compiled
-        else JsbsimFleet(folders, starts, origin, BASE_RATE_HZ, setup.integrators)
-    )
+    compiled, _ = make_compiled_fleet(folders, starts, origin, BASE_RATE_HZ, engine)
+    fleet = compiled or JsbsimFleet(folders, starts, origin, BASE_RATE_HZ, setup.integrators)
     gains = allocate(GAINS, len(candidates))
     for k, each in enumerate(candidates):
         timing = replace(setup.timing, command_latency=each.latency)

@@ -7,13 +7,15 @@ import numpy as np
 import pytest
 from compiled_elements import ALL, make, unequal
 
+from testbed.core import compile as compile_module
+from testbed.core.compile import source_digest
 from testbed.core.records import NedOrigin
-from testbed.vehicle.compiled import CompiledAircraft, NotTranslated, limits
+from testbed.vehicle.compiled import CompiledAircraft, NotTranslated, limits, proof
 from testbed.vehicle.compiled.proof import Comparison, compare
 from testbed.vehicle.compiled.rows import write_air
 from testbed.vehicle.environment import INTEGRATORS, JSBSIM_DEFAULT_INTEGRATORS
 from testbed.vehicle.jsbsim_adapter import load
-from testbed.vehicle.jsbsim_io import AIR_PROPERTIES, BATTERY_PROPERTIES
+from testbed.vehicle.jsbsim_io import AIR_PROPERTIES, BATTERY_PROPERTIES, MOTION_PROPERTIES
 from testbed.vehicle.trim import Controls, Placement
 
 AIRCRAFT = Path(__file__).parents[2] / "aircraft"
@@ -35,9 +37,9 @@ def compiled(name, integrators=INTEGRATORS):
 
 @pytest.mark.parametrize(("name", "integrators"), CASES)
 def test_random_states_equal_jsbsim(name, integrators):
-    proof = compare(compiled(name, integrators), RATE_HZ, states=STATES)
-    assert proof.unequal == ""
-    assert proof.compared > 200 * STATES
+    found = compare(compiled(name, integrators), RATE_HZ, states=STATES)
+    assert found.unequal == ""
+    assert found.compared > 200 * STATES
 
 
 @pytest.mark.parametrize("name", ["rascal110", "skywalker_x8"])
@@ -111,7 +113,9 @@ def test_start_above_the_atmosphere_is_refused():
     model.locate((0.0, 0.0, -21_000.0), NedOrigin())
     level = Placement((60.0, 0.0, 1.0), (0.0, 0.0, 0.0), 0.0, 0.0, 0.0)
     model.place(level, Controls(0.0, 0.0, 0.0, 1.0), spin=True)
-    with pytest.raises(NotTranslated, match="starts above 20 km.*flown by JSBSim"):
+    with pytest.raises(
+        NotTranslated, match="starts above 20 km, where the compiled atmosphere ends"
+    ):
         found.row_of(model)
 
 
@@ -131,3 +135,70 @@ def test_rows_end_where_the_model_ends():
     assert status.tolist() == expected
     assert (state[0] != before[0]).any()
     assert np.array_equal(state[1:], before[1:], equal_nan=True)
+
+
+def test_the_proof_compares_every_number():
+    """A number that differs by its last bit is found, whichever it is."""
+    comparison = Comparison(compiled("skywalker_x8"), RATE_HZ)
+    comparison.place(spin=True, calm=True)
+    assert comparison.unequal == ""
+    columns = [column for _, column, _ in comparison._nodes]
+    placed = comparison.row
+    for column in columns:
+        comparison.row = placed.copy()
+        comparison.row[column] = np.nextafter(comparison.row[column], np.inf)
+        comparison.check("moved")
+        assert "a difference of" in comparison.unequal, column
+        comparison.unequal = ""
+    comparison.row = placed
+    for k, read in enumerate(list(comparison._motion)):
+        number = read()
+        comparison._motion[k] = lambda number=number: float(np.nextafter(number, np.inf))
+        comparison.check("moved")
+        assert comparison.unequal.startswith(f"{MOTION_PROPERTIES[k]} is "), k
+        assert "np." not in comparison.unequal
+        comparison._motion[k], comparison.unequal = read, ""
+
+
+def test_a_proof_is_kept_for_what_it_depends_on(tmp_path, monkeypatch):
+    """Aircraft, code, integrators, rate, JSBSim, libraries: for another one it is not used."""
+    monkeypatch.setattr(proof, "cache_folder", lambda: tmp_path)
+    one, other = compiled("rascal110"), compiled("rascal110", JSBSIM_DEFAULT_INTEGRATORS)
+    names = [proof._file(one, 200), proof._file(one, 120), proof._file(other, 200)]
+    for name, value in (
+        ("VERSION", "1.0"),
+        ("folder_digest", lambda _: "of other files"),
+        ("version", lambda _: "of another library"),
+        ("cache_folder", lambda: tmp_path / "of-other-sources"),
+    ):
+        with monkeypatch.context() as changed:
+            changed.setattr(proof, name, value)
+            names.append(proof._file(one, 200))
+    with monkeypatch.context() as changed:
+        changed.setattr(one, "source", f"{one.source} ")
+        names.append(proof._file(one, 200))
+    assert len({each.name for each in names}) == len(names) == 8
+    assert proof._file(one, 200) == names[0]
+    package = Path(proof.__file__).parents[2]
+    assert source_digest(package)[:16] in compile_module.cache_folder().name
+
+
+def test_vertical_attitudes_equal_jsbsim():
+    """There the heading is 0, and the roll has it."""
+    comparison, random = Comparison(compiled("rascal110"), RATE_HZ), np.random.default_rng(1)
+    comparison.place(spin=True)
+    model, vertical = comparison.model, 0
+    for k in range(60):
+        angles = random.uniform(-3.0, 3.0), (-1) ** k * 0.5 * np.pi, random.uniform(0.0, 6.0)
+        model.place(
+            Placement((30.0, 0.0, 0.0), (0.0, 0.0, 0.0), float(angles[0]), float(angles[1]), 0.0),
+            Controls(0.0, 0.0, 0.0, 0.5),
+            course=float(angles[2]),
+            spin=False,
+        )
+        comparison.row = comparison._aircraft.row_of(model)
+        comparison.check("placed")
+        vertical += abs(model.node("attitude/theta-rad").get_double_value()) == 0.5 * np.pi
+        comparison.run(2)
+    assert comparison.unequal == ""
+    assert vertical > 20

@@ -245,7 +245,7 @@ def test_electric_twin_is_compiled(tmp_path):
     one, two = (trim_aircraft(each, TrimPoint(22.0)) for each in (rascal, twin))
     assert two.controls.throttle == pytest.approx(0.5 * one.controls.throttle, rel=0.3)
     engine = find_engine(twin, 200)
-    assert engine.compiled is not None, engine.reason
+    assert engine.compiled is not None, engine.reasons
 
 
 def test_throttle_step_of_a_jet_spools(folders):

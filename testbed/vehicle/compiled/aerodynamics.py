@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from testbed.vehicle.compiled.elements import XmlNode
 from testbed.vehicle.compiled.functions import expression
-from testbed.vehicle.compiled.source import StepSource
+from testbed.vehicle.compiled.source import StepSource, literal
+
+STALL_HYSTERESIS = "aero/stall-hyst-norm"
 
 # Sets of axes of a force, with the force in B by their sums.
 _FORCES: dict[tuple[str, ...], str] = {
@@ -30,13 +34,11 @@ def aerodynamics(root: XmlNode, source: StepSource) -> None:
         square, ratio = source.carry(_LIFT_SQUARED), f"{source.carry(_LIFT)} / ({area} * qbar)"
         source.emit(f"{square} = ({ratio}) * ({ratio}) if qbar > 1.0 else {square}")
     for function in aero.all("function"):
-        if function.attributes.get("type", "pre") != "pre":
-            function.fail(f"has the type {function.attributes['type']}")
-        name = function.attributes.get("name") or function.fail("has no name")
-        source.write(name, expression(function, source), function)
+        source.attempt(function, partial(_function, function, source))
     for name, size in _SIZES.items():
         span, scale = source.read(size, aero), source.carry(name)
         source.emit(f"{scale} = {span} / (2.0 * vt) if vt + vt != 0.0 else {scale}")
+    _stall_hysteresis(aero, source)
     source.provide("aero/qbar-area", f"{area} * qbar")
     forces = _force_axes(aero)
     sums = {axis: _axis(aero, axis, source) for axis in (*forces, *_MOMENTS)}
@@ -52,6 +54,29 @@ moment_aero = add(({sums["ROLL"]}, {sums["PITCH"]}, {sums["YAW"]}), cross(lever,
     if uses_lift:
         in_wind = "rotate_back(wind_axes(alpha, beta), force_aero)"
         source.emit(f"{source.variable(_LIFT)} = -{in_wind}[2]")
+
+
+def _function(function: XmlNode, source: StepSource) -> None:
+    """Write a function outside of axes."""
+    if function.attributes.get("type", "pre") != "pre":
+        function.fail(f"has the type {function.attributes['type']}")
+    name = function.attributes.get("name") or function.fail("has no name")
+    source.write(name, expression(function, source), function)
+
+
+def _stall_hysteresis(aero: XmlNode, source: StepSource) -> None:
+    """Write the state of a stall: 1 above an angle of attack, 0 below another, else unchanged."""
+    limits = aero.find("hysteresis_limits")
+    if limits is None:
+        return
+    factor = limits.factor("RAD")
+    low, high = (limits.value(each) * factor for each in ("min", "max"))
+    if low != 0.0 and high != 0.0:  # as JSBSim has it; otherwise they have no effect
+        state = source.carry(STALL_HYSTERESIS)
+        source.emit(
+            f"{state} = 1.0 if alpha > {literal(high)} else "
+            f"(0.0 if alpha < {literal(low)} else {state})"
+        )
 
 
 def reads_lift_squared(root: XmlNode) -> bool:
@@ -82,8 +107,12 @@ def _axis(aero: XmlNode, name: str, source: StepSource) -> str:
     axes = aero.all("axis")
     for axis in (each for each in axes if each.attributes.get("name", "").strip() == name):
         for function in axis.all("function"):
-            value = source.assign(expression(function, source))
-            if function.attributes.get("name"):
-                source.write(function.attributes["name"], value, function)
-            source.emit(f"{total} += {value}")
+            source.attempt(function, partial(_add_function, total, function, source))
     return total
+
+
+def _add_function(total: str, function: XmlNode, source: StepSource) -> None:
+    value = source.assign(expression(function, source))
+    if function.attributes.get("name"):
+        source.write(function.attributes["name"], value, function)
+    source.emit(f"{total} += {value}")

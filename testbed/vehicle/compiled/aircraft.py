@@ -175,7 +175,7 @@ class _Placement:
         if state.frames >= len(recent):
             raise NotTranslated(
                 f"{self._aircraft.folder.name}: placed without spin, so the state of "
-                f"{state.property} is unknown; the aircraft is flown by JSBSim"
+                f"{state.property} is unknown"
             )
         value = recent[state.frames][state.property]
         change = 0.0
@@ -184,7 +184,7 @@ class _Placement:
         if not (state.low < value < state.high and abs(change) < state.step):
             raise NotTranslated(
                 f"{self._aircraft.folder.name}: {state.property} is placed at a limit, so its "
-                "state is unknown; the aircraft is flown by JSBSim"
+                "state is unknown"
             )
         return state.sign * value
 
@@ -192,7 +192,7 @@ class _Placement:
         if self._aircraft.run_row(row, 0.0, 1) == ABOVE_ATMOSPHERE:
             raise NotTranslated(
                 f"{self._aircraft.folder.name}: starts above 20 km, where the compiled atmosphere "
-                "ends; the aircraft is flown by JSBSim"
+                "ends"
             )
 
     def _copy(self, row: Array, derivative: str, old: tuple[str, ...]) -> None:

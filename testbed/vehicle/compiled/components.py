@@ -6,6 +6,8 @@ import math
 from collections.abc import Callable
 from itertools import pairwise
 
+import numpy as np
+
 from testbed.vehicle.compiled.elements import XmlNode
 from testbed.vehicle.compiled.functions import expression, table
 from testbed.vehicle.compiled.source import StepSource, literal
@@ -209,12 +211,18 @@ def _filter(node: XmlNode, source: StepSource) -> str:
     ]
     past_outputs = [source.recall_output(owner, age, low, high) for age in range(1, order + 1)]
     value = source.assign(source.read(inputs[0].word, inputs[0]))
-    a, b = ([literal(each / scale) for each in part] for part in (numerator, denominator))
+    a, b = ([literal(_divide(each, scale)) for each in part] for part in (numerator, denominator))
     found = source.assign(_FILTERS[node.tag](a, b, value, past_inputs, past_outputs))
     for newest, past in ((value, past_inputs), (found, past_outputs)):
         for newer, old in reversed(list(zip((newest, *past), past, strict=False))):
             source.emit(f"{old} = {newer}")
     return found
+
+
+def _divide(one: float, other: float) -> float:
+    """Return a quotient as JSBSim has it: infinite or NaN where the divisor is 0."""
+    with np.errstate(all="ignore"):
+        return float(np.float64(one) / np.float64(other))
 
 
 def _coefficients(node: XmlNode, *names: str) -> list[float]:
@@ -343,7 +351,7 @@ def _lag(
     inputs = node.all("input")
     past = source.recall_input(owner, inputs[0].word, inputs[0], 1)
     last = source.recall_limited(owner, "lag", low, high, step)
-    a, b = literal(numerator[0] / scale), literal(decay / scale)
+    a, b = literal(_divide(numerator[0], scale)), literal(_divide(decay, scale))
     source.emit(f"{last} = {a} * ({value} + {past}) + {last} * {b}")
     source.emit(f"{past} = {value}")
     return last
@@ -390,7 +398,7 @@ _FILTERS: dict[str, Callable[[list[str], list[str], str, list[str], list[str]], 
         f"{u} * {a[0]} + {us[0]} * {a[1]} + {us[1]} * {a[2]} - {ys[0]} * {b[1]} - {ys[1]} * {b[2]}"
     ),
     "washout_filter": lambda a, b, u, us, ys: f"{u} * {a[0]} - {us[0]} * {a[0]} + {ys[0]} * {b[1]}",
-    "integrator": lambda a, b, u, us, ys: f"{u} * {a[0]} + {us[0]} * {a[0]} + {ys[0]}",
+    "integrator": lambda a, b, u, us, ys: f"({u} + {us[0]}) * {a[0]} + {ys[0]}",
 }
 
 

@@ -31,9 +31,9 @@ _FACTORS = {
 
 
 class NotTranslated(InputError):
-    """A part of an aircraft that only JSBSim flies.
+    """Parts of an aircraft that only JSBSim flies.
 
-    The message has file, line and element.
+    The message has a line for each, with file, line and element.
     """
 
 
@@ -48,6 +48,7 @@ class XmlNode:
         row: of the table of elements.
         text: its own, without that of its children.
         children: elements in it, but for texts for people.
+        is_refused: it is not translated, and why is a reason already.
     """
 
     tag: str
@@ -57,12 +58,15 @@ class XmlNode:
     row: Element
     text: str = ""
     children: list[XmlNode] = field(default_factory=list)
+    is_refused: bool = False
+
+    def describe(self, reason: str) -> str:
+        """Return a reason with the place of this element."""
+        return f"{self.file}:{self.line}: <{self.tag}> {reason}"
 
     def fail(self, reason: str) -> NoReturn:
         """Raise NotTranslated with the place of this element."""
-        raise NotTranslated(
-            f"{self.file}:{self.line}: <{self.tag}> {reason}; the aircraft is flown by JSBSim"
-        )
+        raise NotTranslated(self.describe(reason))
 
     def all(self, *tags: str) -> list[XmlNode]:
         """Return the children with one of these names."""
@@ -138,19 +142,20 @@ class XmlNode:
             yield from each.walk()
 
 
-def read_aircraft(folder: Path) -> XmlNode:
+def read_aircraft(folder: Path, reasons: list[str]) -> XmlNode:
     """Read the main file of an aircraft that `check_airframe` has accepted, and what it names.
 
     Elements with an attribute `file` get the children of the file's first element.
 
-    Raises:
-        NotTranslated: an element or an attribute that is not translated.
+    Args:
+        folder: of the aircraft.
+        reasons: gets one for each element or attribute that is not translated.
     """
     folder = folder.resolve()
-    return _read(folder / f"{folder.name}.xml", GRAMMAR[MAIN], folder)
+    return _read(folder / f"{folder.name}.xml", GRAMMAR[MAIN], folder, reasons)
 
 
-def _read(file: Path, row: Element, home: Path) -> XmlNode:
+def _read(file: Path, row: Element, home: Path, reasons: list[str]) -> XmlNode:
     top: list[XmlNode] = []
     stack: list[XmlNode | None] = []  # None: below prose
     parser = expat.ParserCreate()
@@ -163,13 +168,14 @@ def _read(file: Path, row: Element, home: Path) -> XmlNode:
             return
         found = row_of(parent.row, tag) if parent else _root_row(row, tag)
         node = XmlNode(tag, attributes, file, parser.CurrentLineNumber, found or Element())
-        if found is None:
-            node.fail("is not known here")
-        _check(node, parent)
-        stack.append(node)
+        node.is_refused = parent is not None and parent.is_refused
+        if not node.is_refused and (why := _refusal(node, found, parent)):
+            node.is_refused = True
+            reasons.append(node.describe(why))
+        stack.append(node if found is not None else None)
         if parent is None:
             top.append(node)
-        elif found.text is not Text.PROSE:
+        elif found is None or found.text is not Text.PROSE:
             parent.children.append(node)
 
     def end(_: str) -> None:
@@ -184,8 +190,8 @@ def _read(file: Path, row: Element, home: Path) -> XmlNode:
     parser.CharacterDataHandler = add_text
     parser.Parse(read_bounded(file, MAX_BYTES, error=InputError), True)
     for node in top[0].walk():
-        if "file" in node.attributes:
-            _include(node, home)
+        if "file" in node.attributes and not node.is_refused:
+            _include(node, home, reasons)
     return top[0]
 
 
@@ -194,28 +200,33 @@ def _root_row(row: Element, tag: str) -> Element:
     return GRAMMAR[tag] if kinds else row
 
 
-def _check(node: XmlNode, parent: XmlNode | None) -> None:
-    """Refuse an element or an attribute that the table does not have as translated."""
-    missing = node.row.not_translated
-    if missing is None and node.row.text is not Text.PROSE:
-        node.fail("is not translated")
+def _refusal(node: XmlNode, row: Element | None, parent: XmlNode | None) -> str:
+    """Return why the table does not have an element or an attribute as translated, or nothing."""
+    if row is None:
+        return "is not known here"
+    missing = row.not_translated
+    if missing is None and row.text is not Text.PROSE:
+        return "is not translated"
     if parent is not None and node.tag in (parent.row.not_translated or "").split():
-        node.fail(f"in <{parent.tag}> is not translated")
+        return f"in <{parent.tag}> is not translated"
     for attribute in node.attributes:
         if attribute in (missing or "").split():
-            node.fail(f"with the attribute {attribute} is not translated")
+            return f"with the attribute {attribute} is not translated"
+    return ""
 
 
 _PATTERN = re.compile(r"\.xml$")
 
 
-def _include(node: XmlNode, home: Path) -> None:
+def _include(node: XmlNode, home: Path, reasons: list[str]) -> None:
     """Put the first element of the file that an element names in its place, or below it."""
     name = node.attributes["file"]
     path = name if _PATTERN.search(name) else f"{name}.xml"
     files = {(home / each / path).resolve() for each in node.row.folders}
     found = [each for each in files if each.is_file()]
     if len(found) != 1:
-        node.fail(f"file={name!r} is the name of {len(found)} files")
-    root = _read(found[0], node.row, home)
+        node.is_refused = True
+        reasons.append(node.describe(f"file={name!r} is the name of {len(found)} files"))
+        return
+    root = _read(found[0], node.row, home, reasons)
     node.children += [root] if node.row.kinds else root.children

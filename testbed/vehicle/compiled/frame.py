@@ -537,7 +537,9 @@ def geodetic(position: Vector) -> Values:
 def euler_angles(t_bl: Values) -> Values:
     """Return roll, pitch and yaw (0 to 2π), rad; JSBSim finds them by way of a quaternion."""
     m = matrix_of(quaternion_of(t_bl))
-    pitch = asin(-m[0][2]) if abs(m[0][2]) < 1.0 else copysign(0.5 * pi, -m[0][2])
+    if not abs(m[0][2]) < 1.0:  # vertical: the heading is in the roll
+        return atan2(-m[2][1], m[1][1]), copysign(0.5 * pi, -m[0][2]), 0.0
+    pitch = asin(-m[0][2])
     yaw = atan2(m[0][1], m[0][0])
     return atan2(m[1][2], m[2][2]), pitch, yaw + 2.0 * pi if yaw < 0.0 else yaw
 

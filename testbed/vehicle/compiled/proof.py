@@ -9,8 +9,10 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import platform
 from contextlib import suppress
 from dataclasses import asdict, dataclass
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -71,11 +73,27 @@ def prove_aircraft(aircraft: CompiledAircraft, rate_hz: int) -> Proof:
 
 
 def _file(aircraft: CompiledAircraft, rate_hz: int) -> Path | None:
-    """Return the file of the result: its folder is of the translator's text."""
+    """Return the file of the result, whose name has all that the result depends on.
+
+    That is the aircraft, JSBSim, the translator and this module (by the folder, which is named
+    after the text of these packages), integrators and rate, and the libraries that make and run the
+    machine code.
+    """
     folder = cache_folder()
-    of = folder_digest(aircraft.folder), VERSION, aircraft.source, aircraft.integrators, rate_hz
+    if folder is None:
+        return None
+    of = (
+        folder_digest(aircraft.folder),
+        aircraft.source,
+        aircraft.integrators,
+        rate_hz,
+        VERSION,
+        folder.name,
+        [version(each) for each in ("numba", "llvmlite")],
+        [platform.machine(), *platform.libc_ver()],
+    )
     digest = hashlib.sha256(repr(of).encode()).hexdigest()[:16]
-    return None if folder is None else folder / f"proof-{digest}.json"
+    return folder / f"proof-{digest}.json"
 
 
 def compare(
@@ -223,7 +241,8 @@ class Comparison:
         motion = (get() for get in self._motion)
         pairs += zip(MOTION_PROPERTIES, self._numbers[0], motion, strict=True)
         self.compared += len(pairs)
-        for name, ours, theirs in pairs:
+        for name, value, theirs in pairs:
+            ours = float(value)  # not numpy's, which shows its type
             if not (ours == theirs or (math.isnan(ours) and math.isnan(theirs))):
                 self.unequal = (
                     f"{name} is {ours!r}, and {theirs!r} in JSBSim {VERSION}: a difference of "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 from testbed.vehicle.compiled.elements import XmlNode
 from testbed.vehicle.compiled.functions import table_function
@@ -37,7 +38,7 @@ def propulsion(root: XmlNode, source: StepSource) -> None:
     parts = root.find("propulsion")
     engines = parts.all("engine") if parts else []
     for number, engine in enumerate(engines):
-        _engine(engine, number, source)
+        source.attempt(engine, partial(_engine, engine, number, source))
 
 
 def _engine(engine: XmlNode, number: int, source: StepSource) -> None:
@@ -134,9 +135,9 @@ inflow = {inflow}
 rps = {rpm} / 60.0
 advance = inflow / ({d} * rps) if rps > 0.01 else inflow / {d}
 slowest = 0.01 if rps < 0.01 else rps
-cp = {tables["C_POWER"]}(advance) * {literal(cp)}
+cp = {tables["C_POWER"]("advance")} * {literal(cp)}
 spare = power - cp * slowest * slowest * slowest * {literal(d4 * diameter)} * rho
-ct = {tables["C_THRUST"]}(advance) * {literal(ct)}
+ct = {tables["C_THRUST"]("advance")} * {literal(ct)}
 thrust = ct * rps * rps * {literal(d4)} * rho
 omega = rps * 2.0 * pi
 torque = {literal(-sense)} * power / (omega if omega > 0.01 else 0.01)

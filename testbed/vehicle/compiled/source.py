@@ -8,14 +8,17 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import NamedTuple
 
+from testbed.core.errors import describe_error, raise_memory_shortage
 from testbed.vehicle.airframe_grammar import JSBSIM_PROPERTIES
 from testbed.vehicle.compiled.columns import COLUMN
-from testbed.vehicle.compiled.elements import XmlNode
+from testbed.vehicle.compiled.elements import NotTranslated, XmlNode
 
+MOST_CELLS = 50_000  # numbers of all tables: as many add some seconds to the compiler's time
+MOST_LINES = 2_000  # of the step: as many take it a minute
 _INDENT = "    "
 _INDEX_0 = re.compile(r"\[0\](?=/|$)")
 _CONSTANT = ("metrics/",)  # groups of properties that loading sets and no step changes
@@ -46,7 +49,8 @@ def literal(value: float) -> str:
     """Return a number as source."""
     if math.isinf(value):
         return "inf" if value > 0.0 else "(-inf)"
-    return repr(value) if value >= 0.0 else f"({value!r})"
+    text = repr(value)
+    return f"({text})" if text.startswith("-") else text
 
 
 def plain(name: str) -> str:
@@ -58,7 +62,8 @@ class StepSource:
     """Lines of the step, and the variables in it.
 
     Attributes:
-        helpers: functions that the step calls.
+        helpers: functions and arrays that the step uses.
+        reasons: why parts of the aircraft are not translated, in the order of the files.
         recalled: the aircraft's own columns that JSBSim has no property for.
         shared: properties that more than one component writes.
     """
@@ -80,7 +85,9 @@ class StepSource:
         self._frame: set[str] = set()  # properties that the frame provides
         self._explicit: set[str] = set()  # that the files write themselves
         self._count = 0
+        self._cells = 0
         self.helpers: list[str] = []
+        self.reasons: list[str] = []
         self.recalled: dict[str, Recalled] = {}
         self.shared: set[str] = set()
 
@@ -221,8 +228,44 @@ class StepSource:
         """Write a line, and indent those of the block."""
         self.emit(head)
         self._depth += 1
-        yield
-        self._depth -= 1
+        try:
+            yield
+        finally:
+            self._depth -= 1
+
+    def array(self, values: Sequence[float], node: XmlNode, shape: str = "") -> str:
+        """Write an array beside the step, and return its name.
+
+        Args:
+            values: of the array.
+            node: which has them.
+            shape: call that shapes it.
+
+        Raises:
+            NotTranslated: the aircraft has too many numbers in its tables.
+        """
+        self._cells += len(values)
+        if self._cells > MOST_CELLS:
+            node.fail(f"makes more than {MOST_CELLS:,} numbers in tables, which is the most")
+        name = self.name("data_")
+        numbers = ", ".join(map(literal, values))
+        self.helpers.append(f"{name} = np.array([{numbers}]){shape}")
+        return name
+
+    def attempt(self, node: XmlNode, write: Callable[[], None]) -> None:
+        """Write the lines of a part of the aircraft; why it is not translated becomes a reason."""
+        if not any(each.is_refused for each in node.walk()):  # whose reason is there already
+            self.attempt_all(node, write)
+
+    def attempt_all(self, node: XmlNode, write: Callable[[], None]) -> None:
+        """Do the same for an element with parts that may be refused."""
+        try:
+            write()
+        except NotTranslated as error:
+            self.reasons.append(str(error))
+        except Exception as error:
+            raise_memory_shortage(error)
+            self.reasons.append(node.describe(f"cannot be translated ({describe_error(error)})"))
 
     def _indented(self, line: str) -> str:
         return f"{_INDENT * self._depth}{line}" if line.strip() else ""

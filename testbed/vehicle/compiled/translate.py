@@ -9,9 +9,14 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
-from testbed.vehicle.compiled.aerodynamics import aerodynamics, reads_lift_squared
+from testbed.vehicle.compiled.aerodynamics import (
+    STALL_HYSTERESIS,
+    aerodynamics,
+    reads_lift_squared,
+)
 from testbed.vehicle.compiled.columns import (
     AIR_INPUTS,
     COLUMN,
@@ -24,14 +29,14 @@ from testbed.vehicle.compiled.columns import (
     RowQuantity,
 )
 from testbed.vehicle.compiled.components import component, outputs
-from testbed.vehicle.compiled.elements import XmlNode, read_aircraft
+from testbed.vehicle.compiled.elements import NotTranslated, XmlNode, read_aircraft
 from testbed.vehicle.compiled.propulsion import (
     ENGINE_OUTPUTS,
     engine_property,
     propulsion,
     throttle_property,
 )
-from testbed.vehicle.compiled.source import GEAR, SURFACES, Recalled, StepSource
+from testbed.vehicle.compiled.source import GEAR, MOST_LINES, SURFACES, Recalled, StepSource
 from testbed.vehicle.environment import (
     ADAMS_BASHFORTH_2,
     ADAMS_BASHFORTH_3,
@@ -112,7 +117,7 @@ _AFTER_AUXILIARY = {
 # Properties of JSBSim that keep their value from the placement, unless the files write them.
 _HELD = (
     *GEAR,
-    "aero/stall-hyst-norm",  # 0 at all angles of attack in JSBSim 1.3.3
+    STALL_HYSTERESIS,
     *(f"fcs/{each}-trim-cmd-norm" for each in ("pitch", "roll", "yaw")),
     *(f"fcs/{each}-cmd-norm" for each in ("flap", "speedbrake", "spoiler", "steer")),
     *(f"fcs/{each}-pos-{unit}" for each in SURFACES for unit in ("rad", "deg", "norm")),
@@ -181,7 +186,7 @@ from testbed.core.compile import kernel
 from testbed.vehicle.compiled.frame import *
 from testbed.vehicle.compiled.kinematic import travel
 from testbed.vehicle.compiled.limits import *
-from testbed.vehicle.compiled.tables import table_2, whole
+from testbed.vehicle.compiled.tables import *
 '''
 
 
@@ -222,18 +227,34 @@ def translate(
     Raises:
         NotTranslated: the aircraft has a part that only JSBSim flies.
     """
-    return _Translator(read_aircraft(folder), constant, integrators).translate()
+    reasons = list[str]()
+    return _Translator(read_aircraft(folder, reasons), reasons, constant, integrators).translate()
 
 
 class _Translator:
     def __init__(
-        self, root: XmlNode, constant: Callable[[str], float | None], integrators: Integrators
+        self,
+        root: XmlNode,
+        reasons: list[str],
+        constant: Callable[[str], float | None],
+        integrators: Integrators,
     ) -> None:
         self._root, self._source = root, StepSource(constant)
+        self._source.reasons += reasons
         self._integrators = integrators
         self._memories: dict[str, tuple[tuple[str, ...], ...]] = {}
 
     def translate(self) -> Translation:
+        self._source.attempt_all(self._root, self._write)
+        reasons = list(dict.fromkeys(self._source.reasons))
+        if not reasons and (lines := len(self._source.lines())) > MOST_LINES:
+            why = f"becomes {lines:,} lines of source; up to {MOST_LINES:,} are compiled"
+            reasons = [self._root.describe(why)]
+        if reasons:
+            raise NotTranslated("\n".join(reasons))
+        return self._assemble()
+
+    def _write(self) -> None:
         self._declare()
         source = self._source
         self._propagate()
@@ -249,7 +270,6 @@ class _Translator:
         source.emit(_dedent(_ACCELERATIONS))
         self._provide(_AFTER_ACCELERATIONS)
         source.emit(_dedent(_LIMITS))
-        return self._assemble()
 
     def _declare(self) -> None:
         source, root = self._source, self._root
@@ -270,7 +290,10 @@ class _Translator:
             for node in system.all("property"):
                 source.declare(node.word)
             for each in self._components(system):
-                names = set(outputs(each))
+                try:
+                    names = set(outputs(each))
+                except NotTranslated:  # without a name: a reason when it is written
+                    continue
                 source.shared |= written & names
                 written |= names
         source.declare(*written)
@@ -337,7 +360,7 @@ class _Translator:
             source.write(throttle_property(number), throttle, engine)
         for system in self._ordered_systems():
             for each in self._components(system):
-                component(each, source)
+                source.attempt(each, partial(component, each, source))
 
     def _assemble(self) -> Translation:
         source = self._source
@@ -413,6 +436,7 @@ def run_rows(state, wind_inputs, controls, first, changed, dt, ticks, which, sta
             (-inertia[3], inertia[1], -inertia[5]),
             (inertia[4], -inertia[5], inertia[2]),
         )
+        one = 1.0 + 0.0 * dt  # which the compiler does not know, see `tables.power_of`
         for tick in range(ticks[0]):
 {step}
             if tick == 0 and changed[1]:
