@@ -68,7 +68,7 @@ train: $(STAMP) $(TRAINING_STAMP)
 # Everything: the tests, 1,000 starts of the theorem, statistics of air and network on more samples,
 # compiled flight models from 1,000 states and their functions at 100,000 arguments, broken MAVLink frames, flight logs and input files, aircraft that try to act, any arguments from Python,
 # numbers of a scenario at and beyond their bounds,
-# real time with nothing else running, a study whose processes are killed, 200 runs killed at random
+# real time with nothing else running, a study whose processes are killed, flights whose machine code was damaged in 26 ways, 200 runs killed at random
 # moments and 200 stopped by two signals, the snippets of every docs page, laws of large formations, every
 # golden table, flights of all scenarios saved and restored, golden scenarios that compile nothing in flight, a policy trained to hold a slot,
 # every number of the pages but times, and a release built and flown from a new environment.
@@ -100,7 +100,8 @@ check-all: test release
 	@TESTBED_ENGINES=1 $(BIN)/pytest -q -n $(JOBS) tests/contract/test_engine.py \
 		tests/contract/test_engine_powers.py
 	@TESTBED_LITERALS=100000 $(BIN)/pytest -q tests/equations/test_compiled_literals.py
-	@TESTBED_STUDIES=1 $(BIN)/pytest -q tests/contract/test_sweep.py
+	@TESTBED_STUDIES=1 $(BIN)/pytest -q tests/contract/test_sweep.py tests/contract/test_stuck_law.py
+	@TESTBED_KEPT_FILES=1 $(BIN)/pytest -q -n $(JOBS) tests/contract/test_kept_files.py
 	@TESTBED_KILLS=200 TESTBED_CUTS=40 $(BIN)/pytest -q -n $(JOBS) tests/contract/test_endings.py \
 		tests/contract/test_recover.py
 	@TESTBED_DOCS=1 TESTBED_LAWS=1 $(BIN)/pytest -q -n $(JOBS) tests/contract/test_readme.py \

@@ -14,7 +14,6 @@ import typer
 from testbed.cli.exit_codes import ExitCode
 from testbed.cli.output import describe_file, message_console, result_console
 from testbed.cli.progress import activity, progress_counter
-from testbed.cli.view import sigterm_interrupts
 from testbed.core.files import report_write_errors
 
 if TYPE_CHECKING:
@@ -66,7 +65,7 @@ def demo_command(
         raise typer.Exit(run.exit_code)
     film, picture, report = (folder / each for each in ("demo.mp4", "demo.png", REPORT_NAME))
     log = read_log(folder / LOG_NAME)
-    with sigterm_interrupts(), _phase(2, "film", messages):
+    with _phase(2, "film", messages):
         _film(log, film)
     with _phase(3, "picture", messages), report_write_errors(picture):
         software_picture(picture, PICTURE_S, log, size=PICTURE_PX)

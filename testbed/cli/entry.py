@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 import sys
 
 from testbed.core.errors import memory_shortage
@@ -12,10 +13,21 @@ def main() -> None:
     """Load the command line and run it."""
     # imported modules are never garbage: collecting less often saves a tenth of a run's start
     gc.set_threshold(100_000, 20, 50)
+    _drop_wrong_settings()
     try:
         _load_and_run()
     finally:
         gc.freeze()  # else the interpreter searches all of them for garbage before it ends
+
+
+def _drop_wrong_settings() -> None:
+    """Remove a number of threads that numba does not accept, as of 0 by a job's script.
+
+    No kernel of the testbed runs in numba's threads; a law that does has its default.
+    """
+    threads = os.environ.get("NUMBA_NUM_THREADS", "1")
+    if not (threads.isascii() and threads.isdecimal() and int(threads[:9]) > 0):
+        del os.environ["NUMBA_NUM_THREADS"]
 
 
 def _load_and_run() -> None:

@@ -22,7 +22,7 @@ from typer.core import TyperCommand, TyperGroup, TyperOption
 from testbed.cli.exit_codes import EXIT_CODES_HELP, ExitCode
 from testbed.cli.output import guard_standard_streams
 from testbed.core.errors import ExternalProgramLost, InputError, escape_controls, memory_shortage
-from testbed.core.interrupts import count_sigint
+from testbed.core.interrupts import count_signals
 from testbed.core.numbers import parse_number
 from testbed.core.version import __version__
 
@@ -150,6 +150,10 @@ class _Help:
         return parameters
 
 
+class UnexpectedEndError(Exception):
+    """A defect: a file ended early, which is no Ctrl-D at a prompt, as typer takes it for."""
+
+
 class _Command(_Help, TyperCommand):
     # Options that may stand without a value: their values, the first of which is meant then.
     optional_values: Mapping[str, tuple[str, ...]] = {}  # noqa: RUF012
@@ -177,6 +181,17 @@ class _Command(_Help, TyperCommand):
                 implied = ("-",)
             written += [each, *implied]
         return super().parse_args(ctx, written)
+
+    def invoke(self, ctx: Any) -> Any:  # noqa: ANN401 - typer's own copy of click
+        """Run the command; see typer.
+
+        Raises:
+            UnexpectedEndError: in place of EOFError.
+        """
+        try:
+            return super().invoke(ctx)
+        except EOFError as error:
+            raise UnexpectedEndError(str(error)) from error
 
 
 class _Subcommands(_Help, TyperGroup):
@@ -308,7 +323,7 @@ def main() -> None:
     guard_standard_streams()
     warnings.showwarning = _show_warning  # type: ignore[assignment]
     try:
-        with count_sigint():
+        with count_signals():
             try:
                 app()
             finally:

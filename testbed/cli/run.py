@@ -34,7 +34,6 @@ from testbed.cli.view import (
     read_shown_log,
     refuse_stdout,
     save_rrd,
-    sigterm_interrupts,
     wait_for_interrupt,
 )
 from testbed.core.errors import InputError
@@ -199,8 +198,6 @@ def run_command(
         if view is not None:
             from testbed.views import FAST_HZ, RerunView
 
-            if view is ViewChoice.WEB:
-                stack.enter_context(sigterm_interrupts())
             viewer = stack.enter_context(open_viewer(host, web=view is ViewChoice.WEB))
             max_hz = None if external.pace else FAST_HZ
             observers.append(RerunView(viewer, max_hz=max_hz, follow=follow))

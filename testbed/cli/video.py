@@ -18,7 +18,7 @@ from testbed.cli.options import (
 )
 from testbed.cli.output import describe_file, is_stdout, message_console
 from testbed.cli.progress import progress_counter
-from testbed.cli.view import read_shown_log, sigterm_interrupts
+from testbed.cli.view import read_shown_log
 from testbed.core.errors import InputError
 from testbed.core.files import report_write_errors, write_file
 
@@ -93,7 +93,6 @@ def video_command(
     video = FlightVideo(scene, batch, frames, pixels)
     total = len(frames)
     with (
-        sigterm_interrupts(),
         report_write_errors(f"--out {out}"),
         write_file(out) as file,
         progress_counter("drawing", total=total, unit="pictures") as progress,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-import signal
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -122,10 +121,9 @@ def shot_command(
         raise InputError(f"--size {size}: write WIDTHxHEIGHT in pixels, such as 1920x1080")
     logs = [read_shown_log(name) for name in (run, other) if name is not None]
     check_follow(follow, logs[0].info.names)
-    with sigterm_interrupts():
-        at_s = _check_time(at, *logs)
-        with report_write_errors(f"--out {out}"):
-            _draw(out, at_s, logs, pixels, follow, renderer)
+    at_s = _check_time(at, *logs)
+    with report_write_errors(f"--out {out}"):
+        _draw(out, at_s, logs, pixels, follow, renderer)
     message_console().write_line(describe_file(out))
 
 
@@ -166,16 +164,6 @@ def overlay_runs(first: str, second: str, *, rrd: Path | None) -> None:
     """
     names = [first, second]
     _show("compare", names, [read_shown_log(name) for name in names], rrd, None, None)
-
-
-@contextmanager
-def sigterm_interrupts() -> Iterator[None]:
-    """Let SIGTERM in the block act as Ctrl-C, so that child processes are ended too."""
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def read_shown_log(name: str) -> RunLog:
@@ -277,7 +265,7 @@ def _serve(logs: Sequence[RunLog], host: str, follow: str | None) -> None:
     """Serve one run, or two overlaid, in a web viewer until Ctrl-C."""
     from testbed.views import replay
 
-    with sigterm_interrupts(), open_viewer(host, web=True) as viewer:
+    with open_viewer(host, web=True) as viewer:
         replay(replace(viewer, lossless=True), *logs, follow=follow)
         wait_for_interrupt()
 

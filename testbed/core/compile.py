@@ -8,10 +8,12 @@ and that Python calls uncompiled.
 The entries of a flight are bound by `bind_entry`, which registers them while the flight is built.
 `prepare` compiles or loads them before the first tick.
 
-One process at a time compiles the same kernels. The files for that are in the folder of the machine
-code: `turn` is locked by the process that prepares kernels for the first time, `compiling` while
-one of them is compiled rather than loaded, and `ready-…` marks sets of kernels that need not be
-waited for. A lock ends with its process.
+Machine code that is missing, damaged or not to be trusted is compiled anew: see `kept_files`.
+
+One process at a time compiles the same kernels. The files for that are in the folder to which
+machine code is written: `turn` is locked by the process that prepares kernels for the first time,
+`compiling` while one of them is compiled rather than loaded, and `ready-…` marks sets of kernels
+that need not be waited for. A lock ends with its process.
 
 With NUMBA_DISABLE_JIT=1 in the environment all of them run as Python, for a debugger.
 """
@@ -25,15 +27,17 @@ import linecache
 import os
 import re
 import shutil
+import stat
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
 from types import ModuleType
-from typing import IO, Any, Protocol, TypeAlias, TypeVar
+from typing import Any, Protocol, TypeAlias, TypeVar
+
+from testbed.core.kept_files import KeptFiles, Place, open_kept_files
 
 F = TypeVar("F", bound=Callable[..., Any])
 R = TypeVar("R")
@@ -64,7 +68,9 @@ KERNEL_PACKAGES = (
 )
 _FOLDER_NAME = re.compile("kernels-[0-9a-f]{16}")
 _FILE_NAME = re.compile(
-    r"turn|compiling|ready-[0-9a-f]+|run_[0-9a-f]+\.source|proof-[0-9a-f]+\.json|.+\.nb[ci](\.tmp\..+)?"
+    r"turn|compiling|ready-[0-9a-f]+|proof-[0-9a-f]+|.+\.code|\.[0-9a-f]+\.part"
+    # of earlier versions
+    r"|run_[0-9a-f]+\.source|proof-[0-9a-f]+\.json|.+\.nb[ci](\.tmp\..+)?"
 )  # in it
 UNUSED_DAYS = 30  # after which machine code in a shared folder is removed
 # numpy divides by zero as IEEE does; nothing is reordered, so that runs repeat to the bit
@@ -105,9 +111,8 @@ def entry_of_user_code(function: F, digest: str | None) -> F:
     if digest is not None:
         function.__name__ = function.__qualname__ = f"{function.__name__}_{digest[:32]}"
     compiled: Any = numba.njit(**_CHECKED)(function)
-    folder = cache_folder()
-    if folder is not None and digest is not None and not is_interpreted():
-        _cache_by_name(folder, compiled.enable_caching, compiled)
+    if digest is not None and not is_interpreted():
+        _keep(compiled, function, by_name=True)
     return compiled  # type: ignore[no-any-return]
 
 
@@ -119,32 +124,27 @@ def entry_beside_python(function: F) -> F:
 def _entry(function: F, options: dict[str, Any]) -> F:
     import numba
 
-    config: Any = numba.config
-    if config.DISABLE_JIT:
+    if is_interpreted():
         return function
-    folder, options = cache_folder(), {**_OPTIONS, **options}
-    compiled: Any = None if folder is None else _cached(function, folder, options)
-    return compiled or numba.njit(**options)(function)  # type: ignore[no-any-return]
+    compiled: Any = numba.njit(**_OPTIONS, **options)(function)
+    _keep(compiled, function, by_name=False)
+    return compiled  # type: ignore[no-any-return]
 
 
 def entry_of_source(name: str, source: str) -> Callable[..., Any]:
     """Compile a function of generated source as an entry.
 
-    The source is kept beside the machine code, for tracebacks and debuggers.
+    Tracebacks and debuggers show the source, which is in no file.
 
     Args:
         name: of the function, different for each source.
         source: of a module with the function; of this package's making, as it is executed.
     """
-    folder = cache_folder()
-    file = Path(folder or tempfile.gettempdir()) / f"{name}.source"  # no .py: it is no module
-    if folder is not None:
-        with suppress(OSError):
-            file.write_text(source, encoding="utf-8")
-    linecache.cache[str(file)] = (len(source), None, source.splitlines(keepends=True), str(file))
+    file = f"<{name}>"
+    linecache.cache[file] = (len(source), None, source.splitlines(keepends=True), file)
     module = ModuleType(f"{__package__}.generated.{name}")
     sys.modules[module.__name__] = module  # where numba finds it when it loads machine code
-    exec(compile(source, str(file), "exec"), module.__dict__)
+    exec(compile(source, file, "exec"), module.__dict__)
     generated: Callable[..., Any] = entry(module.__dict__[name])
     return generated
 
@@ -160,9 +160,7 @@ def address_of(function: Callable[..., Any], returns: Any, *types: Any) -> int: 
     from numba.core.ccallback import CFunc
 
     compiled: Any = CFunc(function, (types, returns), locals={}, options=dict(_OPTIONS))
-    folder = cache_folder()
-    if folder is not None:
-        _cache_by_name(folder, compiled.enable_caching, compiled)
+    _keep(compiled, function, by_name=True)
     compiled.compile()
     return int(compiled.address)
 
@@ -182,67 +180,17 @@ def is_compiled(value: object) -> bool:
     return isinstance(value, Dispatcher)
 
 
-def _cached(function: Callable[..., Any], folder: Path, options: dict[str, Any]) -> Any:  # noqa: ANN401 - numba's dispatcher
-    """Compile with a cache in this folder; return None where it cannot be written."""
-    import numba
+def _keep(compiled: Any, function: Callable[..., Any], *, by_name: bool) -> None:  # noqa: ANN401
+    """Keep machine code on disk; numba's own caches see changes in the file of an entry only.
 
-    compiled: Any = numba.njit(**options)(function)
-    return compiled if _cache_in(folder, compiled.enable_caching, compiled) else None
-
-
-def _cache_in(folder: Path, enable_caching: Callable[[], None], compiled: Any) -> bool:  # noqa: ANN401
-    """Keep machine code in this folder; return False where it cannot be written.
-
-    numba's own cache locations detect changes of the entry's file only, not of the kernels it
-    calls.
+    Args:
+        compiled: numba's dispatcher or callback.
+        function: that it compiles.
+        by_name: see `machine_code.KeptCode`.
     """
-    import numba
+    from testbed.core.machine_code import KeptCode
 
-    config: Any = numba.config
-    names = ("CACHE_DIR", "CACHE_LOCATOR_CLASSES")
-    before = {name: getattr(config, name, "") for name in names}
-    config.CACHE_DIR, config.CACHE_LOCATOR_CLASSES = str(folder), "UserProvidedCacheLocator"
-    try:
-        enable_caching()
-    except RuntimeError:  # no locator available
-        return False
-    finally:
-        for name, value in before.items():
-            setattr(config, name, value)
-    cache = compiled._cache
-    # the folder is of these texts: another time of the same file, as after an installation, is none
-    cache._cache_file._source_stamp = folder.name
-    cache.load_overload = functools.partial(_load, cache)
-    cache.save_overload = functools.partial(_save, cache.save_overload)
-    return True
-
-
-def _cache_by_name(folder: Path, enable_caching: Callable[[], None], compiled: Any) -> None:  # noqa: ANN401
-    """Keep machine code in this folder under the function's name, which changes with its code.
-
-    numba's key has the functions that it calls, which are new objects in each process.
-    """
-    if _cache_in(folder, enable_caching, compiled):
-        compiled._cache._index_key = lambda signature, codegen: (signature, codegen.magic_tuple())
-
-
-def _load(cache: Any, signature: Any, context: Any) -> Any:  # noqa: ANN401 - numba's
-    """Load machine code, or return None where there is none.
-
-    numba's own method first imports all types and operations that it can compile, which loading
-    does not need: 0.3 s, a fifth of the start of a run.
-    """
-    from numba.core.runtime.nrt import rtsys
-
-    rtsys.initialize(context)
-    with suppress(OSError), cache._guard_against_spurious_io_errors():
-        return cache._load_overload(signature, context)
-
-
-def _save(save: Callable[..., None], *arguments: object) -> None:
-    """Save machine code, unless the disk is full or can no longer be written."""
-    with suppress(OSError):
-        save(*arguments)
+    compiled._cache = KeptCode(function, kept_files(), by_name=by_name)
 
 
 def jitable(function: F) -> F:
@@ -401,33 +349,30 @@ def compiling(begin: Callable[[], None]) -> Iterator[None]:
 
 
 @functools.cache
-def cache_folder() -> Path | None:
-    """Return the folder of the machine code of these sources.
-
-    It is None where none can be written.
+def kept_files() -> KeptFiles:
+    """Return the kept files of these sources: machine code, and what follows from it.
 
     numba itself looks for changes only in the file of an entry; an entry holds kernels and
     constants of other files too. So the folder is named after the text of all kernel packages. It
-    lies below NUMBA_CACHE_DIR, beside the bytecode, or in the user's cache, whichever can be
-    written first. Folders of other texts are removed: beside the bytecode at once, elsewhere,
-    where other installations may use them, after `UNUSED_DAYS`.
+    lies in NUMBA_CACHE_DIR, beside the bytecode, and in the user's cache: in each of them, in this
+    order, it is read, up to the first that can be written. Folders of other texts are removed:
+    beside the bytecode at once, elsewhere, where other installations may use them, after
+    `UNUSED_DAYS`.
     """
     package = Path(__file__).parents[1]
+    beside = package / "__pycache__"
+
+    def remove_unused(parent: Path, folder: Path) -> None:
+        keep_s = UNUSED_DAYS * 86400.0 if parent != beside else 0.0
+        _remove_unused(parent, time.time() - keep_s, keep=folder)
+
     name = f"kernels-{source_digest(package)[:16]}"
-    for parent in _parents(package):
-        folder = parent / name
-        try:
-            new = not folder.is_dir()
-            folder.mkdir(parents=True, exist_ok=True)
-            tempfile.TemporaryFile(dir=folder).close()
-            os.utime(folder)
-        except OSError:
-            continue
-        if new:
-            keep_s = UNUSED_DAYS * 86400.0 if parent != package / "__pycache__" else 0.0
-            _remove_unused(parent, time.time() - keep_s, keep=folder)
-        return folder
-    return None
+    return open_kept_files(name, _places(package), remove_unused)
+
+
+def cache_folder() -> Path | None:
+    """Return the folder to which machine code is written; None: none can be."""
+    return kept_files().folder
 
 
 def _remove_unused(parent: Path, oldest: float, *, keep: Path) -> None:
@@ -454,18 +399,27 @@ def source_digest(package: Path, folders: Iterable[str] = KERNEL_PACKAGES) -> st
     return digest.hexdigest()
 
 
-def _parents(package: Path) -> Iterator[Path]:
-    wanted = os.environ.get("NUMBA_CACHE_DIR")
-    if wanted:
-        yield Path(wanted)
-        return
-    yield package / "__pycache__"
+def _places(package: Path) -> Iterator[Place]:
+    if wanted := os.environ.get(_VARIABLE):
+        yield Place(Path(wanted), variable=_VARIABLE)
+    # other users of an installation may read its machine code, as they do its bytecode
+    yield Place(package / "__pycache__", stat.S_IMODE(package.stat().st_mode) & 0o755 | 0o700)
     cache = os.environ.get("XDG_CACHE_HOME")
     if cache or os.environ.get("HOME"):
-        yield (Path(cache) if cache else Path.home() / ".cache") / "testbed"
+        yield Place((Path(cache) if cache else Path.home() / ".cache") / "testbed")
 
 
-NOTICE = "compiling kernels that no run has needed before; later runs load them"
+def notice() -> str:
+    """Return what to print where kernels are compiled."""
+    if cache_folder() is not None:
+        return "compiling kernels; later runs load them"
+    return (
+        "compiling kernels, as in each run: no folder can keep them (write one that can be "
+        f"written to {_VARIABLE})"
+    )
+
+
+_VARIABLE = "NUMBA_CACHE_DIR"
 _TURN, _COMPILING = "turn", "compiling"
 _POLL_S = 0.05
 
@@ -494,24 +448,25 @@ def compile_turn(
         def announce() -> None:
             if folder is not None:
                 with suppress(OSError):
-                    fcntl.flock(closing.enter_context(_open(folder / _COMPILING)), fcntl.LOCK_EX)
+                    fcntl.flock(_open(folder / _COMPILING, closing), fcntl.LOCK_EX)
 
         ready = None if folder is None else folder / f"ready-{digest}"
         if folder is None or ready is None or ready.exists():
             yield announce
             return
         with suppress(OSError):
-            _wait_for_turn(closing.enter_context(_open(folder / _TURN)), folder, waiting, check)
+            _wait_for_turn(_open(folder / _TURN, closing), folder, waiting, check)
         yield announce
         with suppress(OSError):
-            ready.touch()
+            _open(ready, closing)
 
 
 def is_compiling(folder: Path | None) -> bool:
     """Return whether a process compiles kernels into a folder now."""
     if folder is None:
         return False
-    with suppress(OSError), (folder / _COMPILING).open() as file:
+    with suppress(OSError), ExitStack() as closing:
+        file = _open(folder / _COMPILING, closing, os.O_RDONLY)
         try:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -519,12 +474,15 @@ def is_compiling(folder: Path | None) -> bool:
     return False
 
 
-def _open(path: Path) -> IO[str]:
-    return path.open("a")
+def _open(path: Path, closing: ExitStack, mode: int = os.O_WRONLY | os.O_CREAT) -> int:
+    """Open a file, without waiting for the other end of a pipe in its place."""
+    file = os.open(path, mode | os.O_NONBLOCK | os.O_NOCTTY | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644)
+    closing.callback(os.close, file)
+    return file
 
 
 def _wait_for_turn(
-    file: IO[str], folder: Path, waiting: Callable[[], None], check: Callable[[], None]
+    file: int, folder: Path, waiting: Callable[[], None], check: Callable[[], None]
 ) -> None:
     reported = False
     while True:

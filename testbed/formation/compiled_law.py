@@ -12,7 +12,7 @@ import numpy as np
 from numba.core import errors, types
 from numba.extending import overload as overload_in_kernels
 
-from testbed.core.call_list import NOW, Call
+from testbed.core.call_list import NOW, Call, Words
 from testbed.core.compile import checked_kernel, entry, entry_of_user_code
 from testbed.core.compile import kernel as core_kernel
 from testbed.core.field_docs import document_fields
@@ -83,8 +83,9 @@ def kernel(function: F | None = None, *, memory: object = None) -> F | Callable[
     - Arguments behind `config` are `controller.options`: numbers, booleans, or lists of numbers,
       which are tuples of floats here.
 
-    Division by zero is infinite or NaN, an index out of bounds an error, as is a command that is
-    not finite. With NUMBA_DISABLE_JIT=1 in the environment a kernel runs as Python.
+    Division by zero is infinite or NaN, but `//` and `%` of two integers by zero are 0. An index
+    out of bounds is an error, as are a command that is not finite and a write to `config`. With
+    NUMBA_DISABLE_JIT=1 in the environment a kernel runs as Python.
 
     Args:
         function: the law, or a function.
@@ -171,7 +172,7 @@ class CompiledLaw:
 
     __slots__ = (
         *("name", "file", "own", "inbox", "command", "call"),
-        *("_kernel", "_config", "_options", "_memory", "_failed"),
+        *("_kernel", "_config", "_options", "_memory", "_failed", "_gains", "_given"),
     )
 
     def __init__(
@@ -203,8 +204,13 @@ class CompiledLaw:
         self._kernel = law
         names = (each for each in FollowerConfig._fields if each != "hbh23")
         values: Any = {each: _read_only(getattr(config, each)) for each in names}
+        # numba lets a law write fields of a record, also of an array that is read-only
+        given = np.frombuffer(hbh23.tobytes(), dtype=np.uint64).reshape(n, -1)  # read-only
+        self._gains, self._given = given.copy(), given
+        used = self._gains.view(hbh23.dtype).reshape(n).view(type(hbh23))
+        used.flags.writeable = False
         # the fields of each follower are arrays (n, …)
-        self._config = FollowerConfig(**values, hbh23=hbh23)
+        self._config = FollowerConfig(**values, hbh23=used)
         memory: np.dtype[Any] | None = law.law_memory
         self._memory = None if memory is None else allocate(memory, n)
         self._failed = np.zeros(1, dtype=np.intp)  # follower + 1; 0: none
@@ -212,7 +218,8 @@ class CompiledLaw:
         self.call = Call(
             entry_of_user_code(_make_step(law, memory is not None), digest),
             *(own, inbox, () if self._memory is None else self._memory),
-            *(self._config, options, self.command, self._failed, NOW),
+            *(self._config, options, self.command, self._failed),
+            *(_read_only(self._gains), self._given, NOW),
         )
         self.call.prepare()
 
@@ -243,6 +250,7 @@ class CompiledLaw:
         if not self._failed[0]:
             return
         row = int(self._failed[0]) - 1
+        self._gains[:] = self._given
         config = self._config._replace(hbh23=self._config.hbh23.view(np.recarray))
         one = python_function(follower_config)(config, row)
         own, inbox = (type(each)(*(x[row] for x in each)) for each in (self.own, self.inbox))
@@ -264,7 +272,8 @@ def _read_only(value: Any) -> Any:  # noqa: ANN401
 def _make_step(law: Callable[..., Any], has_memory: bool) -> Callable[..., int]:
     """Return the entry that steps a law for n followers.
 
-    It returns whether a follower's law has raised an exception, or its command is not finite.
+    It returns whether a follower's law has raised an exception or written its configuration, or its
+    command is not finite.
     """
     if has_memory:
 
@@ -291,6 +300,8 @@ def _make_step(law: Callable[..., Any], has_memory: bool) -> Callable[..., int]:
         options: Values,
         command: LawCommand,
         failed: Indices,
+        gains: Words,
+        given: Words,
         now: float,
     ) -> int:
         failed[0] = 0
@@ -303,6 +314,10 @@ def _make_step(law: Callable[..., Any], has_memory: bool) -> Callable[..., int]:
             except Exception:  # whatever the law raises
                 failed[0] = i + 1
                 return 1
+            for k in range(gains.shape[1]):
+                if gains[i, k] != given[i, k]:
+                    failed[0] = i + 1
+                    return 1
         return 0 if finite else 1
 
     return step_law

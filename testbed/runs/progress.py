@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
-from testbed.core.compile import NOTICE
+from testbed.core.compile import notice
 from testbed.scenario.arguments import check_calls
 
 if TYPE_CHECKING:
@@ -161,7 +161,7 @@ class _TerminalBar:
         self.close()
         if phase == "compiling" and not self._notified:
             self._notified = True
-            self._console.print(NOTICE)
+            self._console.print(notice())
         self._bar = Bar(
             TextColumn("[bold]{task.description}"),
             BarColumn(bar_width=None),
@@ -209,7 +209,7 @@ class _LogLines:
     def __call__(self, phase: str, done: float, total: float) -> None:
         if phase == "compiling" and not self._notified:
             self._notified = True
-            self._console.print(NOTICE, soft_wrap=True)
+            self._console.print(notice(), soft_wrap=True)
         now = time.monotonic()
         if phase != self._phase:
             self._phase, self._shown, self._begun = phase, now, now
@@ -246,7 +246,7 @@ class _NotebookLine:
         self._last = phase, done
         if now - self._shown >= _NOTEBOOK_S or done == total:
             self._shown = now
-            first = f"{NOTICE}: " if phase == "compiling" else ""
+            first = f"{notice()}: " if phase == "compiling" else ""
             self._show(f"{self._name}: {first}{_text(phase, done, total)}")
 
     def _show(self, text: str) -> None:

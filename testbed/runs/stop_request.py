@@ -10,9 +10,15 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-from testbed.core.interrupts import Interrupt, sigint_count
+from testbed.core.interrupts import (
+    GRACE_S,
+    STOP_SIGNALS,
+    Interrupt,
+    mark_handled,
+    signal_count,
+    watch_compiled_code,
+)
 
-GRACE_S = 1.0  # after a signal that took effect; signals within it have no effect
 # Interrupted halfway, these would write a sample twice, or measure a part of one.
 _UNINTERRUPTED_PACKAGES = ("testbed.logs.", "testbed.metrics.")
 
@@ -28,13 +34,14 @@ class StopRequest:
     when a key repeats or a supervisor and a terminal both send one. A later one interrupts the
     simulation at once, but not the writing of files: there it is kept until they are complete.
     A simulation that goes on for `GRACE_S` after the first, as in a law that does not return, is
-    reported to standard error, with the line of Python that it is in.
+    reported to standard error, with the line of Python that it is in. Code that is compiled, where
+    Python handles no signal, is reported and ended by `watch_compiled_code`.
     """
 
     def __init__(self) -> None:
         """Start with the signals that came while libraries were loaded."""
         # not a threading.Event: a handler interrupted by itself would wait for its own lock
-        self._requested = sigint_count() > 0
+        self._requested = signal_count() > 0
         self._effective_s = time.monotonic()  # of the last signal that took effect
         self._ending = False
         self._uninterrupted = False
@@ -56,6 +63,7 @@ class StopRequest:
 
     def handle(self, number: int, frame: FrameType | None) -> None:
         """Handle a signal."""
+        mark_handled()
         now = time.monotonic()
         if self._requested and now - self._effective_s < GRACE_S:
             return
@@ -135,11 +143,12 @@ def stop_on_signals() -> Iterator[StopRequest]:
     if threading.current_thread() is not threading.main_thread():
         yield stop
         return
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.getsignal(number) for number in STOP_SIGNALS}
     for number in before:
         signal.signal(number, stop.handle)
     try:
-        yield stop
+        with watch_compiled_code():
+            yield stop
     finally:
         stop.cancel_notice()
         for number, handler in before.items():

@@ -12,7 +12,7 @@ from collections.abc import Callable, Hashable, Iterable, Iterator
 from concurrent.futures import CancelledError, Future
 from contextlib import contextmanager
 
-from testbed.core.compile import NOTICE, cache_folder, is_compiling
+from testbed.core.compile import cache_folder, is_compiling, notice
 from testbed.core.errors import ExternalProgramLost, InputError, raise_memory_shortage
 from testbed.runs.stop_request import StopRequest, stop_on_signals
 from testbed.studies.dask_workers import LOST, DaskWorkers
@@ -144,7 +144,7 @@ class FlightPool:
     def _report_compiling(self) -> None:
         """Report that a worker compiles kernels, the first time that one does."""
         if self._report and is_compiling(cache_folder()):
-            self._report(NOTICE)
+            self._report(notice())
             self._report = None
 
     def _result(self, future: Future[FlightResult], task: FlightTask) -> FlightResult | None:

@@ -23,6 +23,7 @@ from joblib.externals.loky import BrokenProcessPool, ProcessPoolExecutor
 from joblib.externals.loky.process_executor import ShutdownExecutorError
 
 from testbed.core.errors import InputError, describe_error
+from testbed.core.kept_files import REPORTED
 from testbed.studies.flight_task import FlightResult, FlightTask, run_task
 
 _SAFE_PATH = "PYTHONSAFEPATH"
@@ -30,7 +31,7 @@ _SAFE_PATH = "PYTHONSAFEPATH"
 _ENVIRONMENT = {
     name: "1"
     for name in (
-        _SAFE_PATH,
+        *(_SAFE_PATH, REPORTED),
         "OMP_NUM_THREADS",
         "OPENBLAS_NUM_THREADS",
         "MKL_NUM_THREADS",

@@ -1,11 +1,16 @@
 """Draw panel grids as files or SVG text; the only module that imports Matplotlib.
 
-No display is needed and no global state is changed. The same grid gives the same bytes.
+No display is needed and no global state is changed. The same grid gives the same bytes, whatever
+settings of Matplotlib the user has.
 """
 
 from __future__ import annotations
 
 import io
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +21,26 @@ from testbed.core.errors import needs_extra
 from testbed.core.files import write_file
 from testbed.views.panels import GREY, GRID, FieldMap, Heatmap, Line, Panel, PanelGrid
 
+
+def _import_whatever_is_set() -> None:
+    """Import Matplotlib, which fails where an environment variable names no backend of it."""
+    try:
+        __import__("matplotlib")
+    except ImportError:
+        raise
+    except Exception:  # any of its own
+        for name in [each for each in sys.modules if each.partition(".")[0] == "matplotlib"]:
+            del sys.modules[name]  # a part of it
+        names = "MPLBACKEND", "MATPLOTLIBRC"
+        removed = {name: os.environ.pop(name) for name in names if name in os.environ}
+        try:
+            __import__("matplotlib")
+        finally:
+            os.environ.update(removed)
+
+
 with needs_extra("report", "figures"):
+    _import_whatever_is_set()
     import matplotlib
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
@@ -85,6 +109,17 @@ SIZES: dict[Any, Any] = {
 }
 
 
+@contextmanager
+def _settings(style: dict[Any, Any]) -> Iterator[None]:
+    """Use Matplotlib's defaults with a style in the block, in place of the user's settings."""
+    defaults: Any = matplotlib.rcParamsDefault
+    with matplotlib.rc_context():
+        # no backend is needed: each format has its canvas
+        matplotlib.rcParams.update({k: defaults[k] for k in defaults if "backend" not in k})
+        matplotlib.rcParams.update(style)
+        yield
+
+
 def _style(scale: float) -> dict[Any, Any]:
     """Return the style with all sizes times a factor."""
     if scale == 1.0:
@@ -113,7 +148,7 @@ def save_figure(
     titled = text_pt is None if titled is None else titled
     width, height = grid.inches
     grid = replace(grid, inches=(width / scale, height / scale))
-    with matplotlib.rc_context(_style(scale)):
+    with _settings(_style(scale)):
         figure = _figure(grid, titled=titled, scale=scale)
         with write_file(path) as file:
             figure.savefig(
@@ -124,7 +159,7 @@ def save_figure(
 def figure_svg(grid: PanelGrid) -> str:
     """Draw a figure as SVG text without titles, on a transparent background; text stays text."""
     text = io.StringIO()
-    with matplotlib.rc_context({**STYLE, "svg.fonttype": "none"}):
+    with _settings({**STYLE, "svg.fonttype": "none"}):
         _figure(grid, titled=False).savefig(
             text, format="svg", metadata=UNDATED[".svg"], transparent=True
         )

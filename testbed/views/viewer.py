@@ -218,9 +218,14 @@ def launch(
         stdin=subprocess.PIPE if guarded else subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
-        env=os.environ | quiet | ({"TMPDIR": folder} if folder else {}),
+        env=_without_settings() | quiet | ({"TMPDIR": folder} if folder else {}),
         start_new_session=True,  # Ctrl-C is for the run
     )
+
+
+def _without_settings() -> dict[str, str]:
+    """Return the environment without a user's settings of Rerun."""
+    return {key: value for key, value in os.environ.items() if not key.startswith("RERUN")}
 
 
 def wait_until_listening(viewer: subprocess.Popen[bytes], port: int) -> bool:

@@ -269,6 +269,7 @@ RUNS_CODE = {
         "views.viewer",  # rerun, beside this Python
     },
     "pickle": {
+        "core.machine_code",  # kept files, whose folder no other user may write
         "plan.user_code",  # dumps only: whether a law's memory has changed
         "views.feeder_process",  # what its own parent sends
         "views.view",

@@ -20,6 +20,7 @@ from snapshot import check_snapshot
 from typer.testing import CliRunner
 
 import testbed
+from testbed.cli import entry
 from testbed.cli.exit_codes import ExitCode
 from testbed.cli.main import app
 from testbed.cli.scenario import FIRST, FIRST_STUDIES, GROUPS, STUDIES, TUNES
@@ -369,3 +370,19 @@ def test_interrupt_made_an_error_by_a_library_is_one(monkeypatch, tmp_path):
 
     monkeypatch.setattr("testbed.cli.main.app", load)
     assert call_command("list", cwd=tmp_path, code=130, columns=200).stderr == ""
+
+
+@pytest.mark.parametrize("threads", ["0", "", "-1", "many"])
+def test_wrong_number_of_threads_is_not_used(tmp_path, monkeypatch, threads):
+    """As a job makes it of a variable that is not set; numba cannot be imported with it."""
+    monkeypatch.setenv("NUMBA_NUM_THREADS", threads)
+    entry._drop_wrong_settings()
+    assert "NUMBA_NUM_THREADS" not in os.environ
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "3")
+    entry._drop_wrong_settings()
+    assert os.environ["NUMBA_NUM_THREADS"] == "3"
+
+
+def test_job_without_threads_validates(tmp_path, monkeypatch):
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "0")
+    run_command("validate", "simulation-1", cwd=tmp_path, code=0, columns=80)

@@ -11,7 +11,8 @@ import pytest
 from waiting import TIMEOUT_S
 
 from testbed.core import compile as compiling
-from testbed.core.compile import KERNEL_PACKAGES, cache_folder, source_digest
+from testbed.core.compile import KERNEL_PACKAGES, kept_files, source_digest
+from testbed.core.kept_files import Place
 from testbed.scenario import library
 
 ENTRY = """
@@ -52,7 +53,9 @@ def package(tmp_path):
         (package / name / "__init__.py").touch()
     (package / "__init__.py").touch()
     core = Path(compiling.__file__).parent
-    for module in ("compile.py", "field_docs.py", "records.py"):
+    for module in (
+        *("compile.py", "field_docs.py", "kept_files.py", "machine_code.py", "records.py"),
+    ):
         shutil.copy(core / module, package / "core")
     (package / "flight" / "stepping.py").write_text(ENTRY)
     (package / "formation" / "numbers.py").write_text("STEP = 1.0\n")
@@ -105,7 +108,7 @@ def test_a_constant_of_another_file_is_compiled_anew(package):
     # one folder, which is another; nothing of numba's lies elsewhere
     assert len(folders(cache)) == 1
     assert folders(cache) != first
-    found = [path.relative_to(cache) for path in package.rglob("*.nb[ic]")]
+    found = [path.relative_to(cache) for path in package.rglob("*.code")]
     assert {path.parts[0] for path in found} == set(folders(cache))
 
 
@@ -163,47 +166,42 @@ def test_kernel_packages_are_all_with_kernels():
 
 
 @pytest.fixture
-def parents(monkeypatch):
-    """`cache_folder` as if only these folders could hold machine code."""
+def places(monkeypatch):
+    """`kept_files` as if only these folders could hold machine code."""
 
     def choose(*found):
-        monkeypatch.setattr(compiling, "_parents", lambda package: iter(found))
-        return cache_folder.__wrapped__()
+        monkeypatch.setattr(compiling, "_places", lambda package: map(Place, found))
+        return kept_files.__wrapped__()
 
     return choose
 
 
-def test_the_first_folder_that_can_be_written_is_taken(parents, tmp_path):
+def test_the_first_folder_that_can_be_written_is_taken(places, tmp_path):
     (tmp_path / "file").touch()
     unwritable, good = tmp_path / "file" / "cache", tmp_path / "good"
     recent, unused = "kernels-0123456789abcdef", "kernels-fedcba9876543210"
     users = "kernels-of-the-user"  # not the testbed's: never removed
     noted = "kernels-00000000000000ff"  # has a file of the user
-    for name in (recent, unused, users, noted):
-        (good / name / "sim").mkdir(parents=True)
-        (good / name / "sim" / "loop.step-3.py311.nbi").touch()
+    earlier = "kernels-00000000000000fe"  # of an earlier version
+    for name in (recent, unused, users, noted, earlier):
+        (good / name).mkdir(parents=True)
+        (good / name / "sim.loop.step-3.code").touch()
     (good / noted / "notes.txt").touch()
-    for name in (unused, users, noted):
+    (good / earlier / "sim").mkdir()
+    (good / earlier / "sim" / "loop.step-3.py311.nbi").touch()
+    for name in (unused, users, noted, earlier):
         os.utime(good / name, (0.0, 0.0))
-    found = parents(unwritable, good, tmp_path / "never")
+    found = places(unwritable, good, tmp_path / "never").folder
     assert found.parent == good
     # a folder unused for long is removed, and no folder is made that is not needed
     assert folders(good) == sorted([recent, users, noted, found.name])
     assert not (tmp_path / "never").exists()
 
 
-def test_no_writable_folder_gives_none(parents, tmp_path):
+def test_no_writable_folder_gives_none(places, tmp_path):
     (tmp_path / "file").touch()
-    assert parents() is None
-    assert parents(tmp_path / "file", tmp_path / "file" / "cache") is None
-
-
-def test_a_folder_that_only_can_be_read_is_not_taken(parents, tmp_path, monkeypatch):
-    def refuse(**options):
-        raise PermissionError
-
-    monkeypatch.setattr(compiling.tempfile, "TemporaryFile", refuse)
-    assert parents(tmp_path) is None
+    for found in (places(), places(tmp_path / "file", tmp_path / "file" / "cache")):
+        assert found.folder is None and found.folders == ()
 
 
 def test_code_is_cached_in_no_folder_of_numba(package, tmp_path):
@@ -215,7 +213,39 @@ def test_code_is_cached_in_no_folder_of_numba(package, tmp_path):
     home = tmp_path / "home"
     home.mkdir()
     assert printed(package, script=begin + lost, HOME=str(home)) == "[1.0, 1.0] 0"
-    assert [*package.rglob("*.nb[ic]"), *home.iterdir()] == []
+    assert [*package.rglob("*.code"), *package.rglob("*.nb[ic]"), *home.iterdir()] == []
+
+
+def test_read_only_installation_is_read(package, tmp_path):
+    """As in a container whose machine code was compiled with the image; new code is not kept."""
+    options = {"mount": read_only(package), "HOME": str(package / "nonexistent")}
+    assert printed(package, **options) == "[1.0, 1.0] 0"
+    assert printed(package) == "[1.0, 1.0] 0"  # control: the one before kept nothing
+    assert printed(package, **options) == "[1.0, 1.0] 1"
+    script = "from testbed.core.compile import notice; print(notice())"
+    assert printed(package, script=script) == "compiling kernels; later runs load them"
+    assert "no folder can keep them" in printed(package, script=script, **options)
+    # where another place can be written, new code goes there
+    (package / "flight" / "stepping.py").write_text(ENTRY)
+    other = CALL.replace('("x", "f8"), ', '("x", "f4"), ')
+    options["HOME"] = str(home := tmp_path / "home")
+    home.mkdir()
+    for hits in (0, 1):
+        assert printed(package, script=other, **options) == f"[1.0, 1.0] {hits}"
+    assert printed(package, **options) == "[1.0, 1.0] 1"  # from the installation
+    assert len([*home.rglob("*.code")]) == 1
+
+
+def test_useless_variable_is_named(package, tmp_path):
+    (tmp_path / "file").touch()
+    script = f"import warnings\nwarnings.simplefilter('error')\n{CALL}"
+    environment = {"NUMBA_CACHE_DIR": str(tmp_path / "file")}
+    with pytest.raises(AssertionError, match=r"NUMBA_CACHE_DIR .*file is not used: Not a dir"):
+        printed(package, script=script, **environment)
+    assert printed(package, **environment) == "[1.0, 1.0] 0"
+    assert printed(package) == "[1.0, 1.0] 1", "the next place was not used"
+    environment["NUMBA_CACHE_DIR"] = str(tmp_path / "own")  # the remedy
+    assert printed(package, script=script, **environment) == "[1.0, 1.0] 0"
 
 
 def test_full_disk_is_no_error(package, tmp_path):
@@ -252,7 +282,7 @@ def test_constant_of_core_is_never_stale(package, tmp_path, place):
         text = frames.read_text().replace("GRAVITY = 9.80665", f"GRAVITY = {value}")
         (package / "core" / "frames.py").write_text(text)
         assert printed(package, **options) == f"[{value}, 0.0] 0"
-    assert {path.parents[2] for path in tmp_path.rglob("*.nbi")} == kept
+    assert {path.parents[1] for path in tmp_path.rglob("*.code")} == kept
 
 
 def test_command_flies_from_a_read_only_installation(tmp_path):

@@ -11,7 +11,7 @@ from commands import ROOT, call_command
 from waiting import TIMEOUT_S, until
 from worker_tasks import run_task
 
-from testbed.core.compile import NOTICE, compile_turn, is_compiling
+from testbed.core.compile import compile_turn, is_compiling, notice
 from testbed.runs.stop_request import RunStopped
 from testbed.studies.flight_pool import FlightPool
 from testbed.studies.flight_task import FlightTask
@@ -134,7 +134,7 @@ def test_a_pool_reports_compiling_once(tmp_path, monkeypatch):
     pool = FlightPool(OneThread(), lambda: False, lines.append)
     results = list(pool.run([FlightTask(0, fly), FlightTask(1, fly)]))
     assert [each.metrics["value"] for each in results] == ["flown", "flown"]
-    assert lines == [NOTICE]
+    assert lines == [notice()]
 
 
 def test_run_prints_that_it_compiles(tmp_path, monkeypatch):
@@ -148,6 +148,6 @@ def test_run_prints_that_it_compiles(tmp_path, monkeypatch):
     monkeypatch.setattr("testbed.flight.loop.prepare", prepare)
     arguments = ("run", "ideal-figure-eight", "--duration", "1")
     done = call_command(*arguments, cwd=tmp_path, code=0, columns=80)
-    assert done.stderr.splitlines().count(NOTICE) == 1
+    assert done.stderr.splitlines().count(notice()) == 1
     done = call_command(*arguments, "--quiet", cwd=tmp_path, code=0, columns=80)
-    assert NOTICE not in done.stderr
+    assert notice() not in done.stderr

@@ -316,6 +316,8 @@ WRONG = [
         "return UnicycleCommand(20.0, own.euler[:2], 20.0, (1.0, 0.0, 0.0), 0)",
         "omega or direction of the law's command has not 3 numbers",
     ),
+    ("config.hbh23[0].k = 1e9", "mine writes into its inputs (assignment destination is read"),
+    ("config.hbh23[0].acceleration_blend[1] = 0.5", "mine writes into its inputs"),
     (
         "return command_from_velocity(config, own, (0.0, 0.0, 0.0))",
         "mine.py:24: the law raised ValueError: velocity_ned is zero: it has no direction",
@@ -363,8 +365,12 @@ def test_list_of_numbers_is_an_option(tmp_path, configured):
             "if now > 1.0 and config.agents == 2:\n        raise ValueError('lost')",
             r"mine\.py:25: the law raised ValueError: lost",
         ),
+        (
+            "if now > 1.0 and config.agents == 2:\n        config.hbh23[0].speed_max = 17.0",
+            r"mine\.py:25: the law raised ValueError: assignment destination is read-only",
+        ),
     ],
-    ids=["nan", "division", "raise"],
+    ids=["nan", "division", "raise", "write"],
 )  # fmt: skip
 def test_kernel_that_fails_ends_the_flight(body, message, tmp_path):
     """As a law in Python; see `test_law_nan_in_flight_ends_the_run_with_its_time`."""
@@ -373,6 +379,14 @@ def test_kernel_that_fails_ends_the_flight(body, message, tmp_path):
     path.write_text("extends: simulation-3\ncontroller: {law: 'mine:mine'}\n")
     with pytest.raises(FlightError, match=message):
         testbed.run(set_duration(load_scenario(path), 2.0), write=False)
+
+
+def test_integers_divided_by_zero(tmp_path, configured):
+    """As docs/own-law.md has it; floats divided by zero are not finite."""
+    body = "zero = int(0.0 * now)\n    roll = 1 // zero + 1 % zero + 1.0 / (1 / zero)"
+    law, _ = build_law(write(tmp_path, body), {}, *configured)
+    check_law(law, configured[0])
+    assert law.command.fbwa.roll.tolist() == [0.0] * 3
 
 
 def test_memory_is_zero_at_the_first_step(tmp_path):
@@ -433,7 +447,7 @@ def test_digest_of_a_module_is_of_what_is_read(tmp_path, monkeypatch):
 
 
 def kept():
-    return set(cache_folder().rglob("*step_law_*.nbc"))
+    return set(cache_folder().glob("*step_law_*.code"))
 
 
 def test_changed_constant_is_compiled_again(tmp_path, configured):

@@ -1,17 +1,23 @@
 """Figures: distinct colours, labels that do not cover each other, readable axes."""
 
 import itertools
+import os
+import subprocess
+import sys
+from pathlib import Path
 
 import matplotlib
 import numpy as np
 import pytest
 from matplotlib.layout_engine import ConstrainedLayoutEngine
+from waiting import TIMEOUT_S
 
 from testbed.reports.figure_spec import stack_names
 from testbed.views import matplotlib_backend
 from testbed.views.panels import BLACK, ON_DARK, ON_WHITE, Line, Panel, PanelGrid, Span, rgb
 from testbed.views.scene import BACKDROP
 
+ROOT = Path(__file__).parents[2]
 # linear sRGB to cones and to Oklab (B. Ottosson, 2020)
 TO_CONES = np.array(
     [
@@ -152,3 +158,78 @@ def test_last_digits_of_the_layout_do_not_show(monkeypatch):
 
     monkeypatch.setattr(ConstrainedLayoutEngine, "execute", rounded_otherwise)
     assert matplotlib_backend.figure_svg(grid) == first
+
+
+DRAW = """
+import hashlib, sys
+from pathlib import Path
+import numpy as np
+from testbed.views.matplotlib_backend import figure_svg, save_figure
+from testbed.views.panels import BLACK, FieldMap, Line, Panel, PanelGrid
+
+x = np.linspace(0.0, 30.0, 50)
+line = Line(x, np.sin(x), BLACK, "mean_error, 90° − $", marker="o")
+grid = PanelGrid("a_b", "50 % of 10^3", [[Panel("error_m", "time, s", "°", lines=[line])]], (1.0,))
+digest = hashlib.sha256(figure_svg(grid).encode())
+for name in ("f.png", "f.pdf", "f.svg"):
+    save_figure(grid, Path(sys.argv[1]) / name)
+    digest.update((Path(sys.argv[1]) / name).read_bytes())
+import matplotlib
+print(digest.hexdigest(), matplotlib.rcParams["font.size"])
+"""
+HOSTILE = """
+text.usetex: True
+path.sketch: 1, 100, 2
+axes.spines.left: False
+axes.xmargin: 0.5
+axes.prop_cycle: cycler(color=['red'])
+axes.formatter.use_locale: True
+axes.formatter.limits: -1, 1
+font.size: 30
+font.family: monospace
+lines.antialiased: False
+savefig.bbox: tight
+savefig.facecolor: green
+figure.dpi: 30
+figure.constrained_layout.use: True
+image.cmap: jet
+pdf.compression: 0
+svg.fonttype: path
+toolbar: None
+"""
+USERS = {
+    "matplotlibrc": (HOSTILE, {}),
+    "a file of a variable": (HOSTILE, {"MATPLOTLIBRC": "matplotlibrc"}),
+    "no backend": ("", {"MPLBACKEND": "nonsense"}),
+    "backend of a screen": ("backend: TkAgg", {"MPLBACKEND": "QtAgg", "DISPLAY": ""}),
+    "damaged": ("\0nothing: [", {"TZ": "Asia/Kathmandu", "LC_ALL": "de_DE", "FORCE_COLOR": "1"}),
+}
+
+
+def draw(folder, settings="", **variables):
+    """Digest of figures drawn by a process with settings, and a setting of the user afterwards."""
+    (folder / "matplotlibrc").write_text(settings)
+    kept = {k: v for k, v in os.environ.items() if not k.startswith("MPL")}
+    done = subprocess.run(
+        [sys.executable, "-c", DRAW, folder],
+        cwd=folder,
+        env={**kept, "PYTHONPATH": str(ROOT), **variables},
+        capture_output=True,
+        text=True,
+        timeout=TIMEOUT_S,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.split()
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory):
+    return draw(tmp_path_factory.mktemp("plain"))
+
+
+@pytest.mark.parametrize("name", USERS)
+def test_settings_of_the_user_change_no_byte(name, plain, tmp_path):
+    settings, variables = USERS[name]
+    digest, size = draw(tmp_path, settings, **variables)
+    assert digest == plain[0]
+    assert size == ("30.0" if "font.size" in settings else "10.0"), "the user's settings are lost"

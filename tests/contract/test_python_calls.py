@@ -115,7 +115,7 @@ def test_progress_is_shown_in_terminals_and_logs(terminal, monkeypatch):
     display.close()
     display.close()
     text = file.getvalue()
-    assert text.count("compiling kernels that no run has needed before") == 1
+    assert text.count("compiling kernels; later runs load them") == 1
     assert "17 of 17 kernels" in text
     assert ("mine: 30 of 60 s simulated" in text) is not terminal
     assert text.endswith("\x1b[1A\x1b[2K") is terminal  # the bar is removed

@@ -423,3 +423,27 @@ def test_screenshot_with_view_error_raises(tmp_path, monkeypatch):
     monkeypatch.setattr(recorded_runs, "GREETING_S", 0.0)
     with pytest.raises(ViewComplaintError, match="Formation"):
         screenshot(tmp_path / "flight.png", 1.0, views_flight.log(2, 2.0), size=(640, 400))
+
+
+def test_settings_of_the_user_empty_no_recording():
+    """RERUN=off disables all recordings of a process."""
+    script = (
+        "import testbed.views.rerun_backend, rerun\n"
+        "stream = rerun.RecordingStream('x')\n"
+        "memory = stream.memory_recording()\n"
+        "stream.log('a', rerun.TextLog('b'))\n"
+        "stream.flush()\n"
+        "print(memory.num_msgs())\n"
+    )
+    counts = [
+        subprocess.run(
+            [sys.executable, "-c", script],
+            env=os.environ | variables,
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=TIMEOUT_S,
+        ).stdout
+        for variables in ({}, {"RERUN": "off", "RERUN_LOG_TICK": "1"})
+    ]
+    assert counts[0] == counts[1] and int(counts[0]) > 0

@@ -13,14 +13,11 @@ import platform
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
-from pathlib import Path
 
 import numpy as np
 
-from testbed.core.compile import cache_folder
-from testbed.core.errors import InputError
-from testbed.core.files import write_text_file
-from testbed.core.input_files import parse_json_map, read_bounded_text
+from testbed.core.compile import kept_files
+from testbed.core.input_files import parse_json_map
 from testbed.core.random import named_stream
 from testbed.core.records import Array, NedOrigin
 from testbed.vehicle.compiled.aircraft import CompiledAircraft
@@ -61,39 +58,31 @@ class Proof:
 
 def prove_aircraft(aircraft: CompiledAircraft, rate_hz: int) -> Proof:
     """Compare a compiled aircraft with JSBSim, at steps per second; keep the result on disk."""
-    kept = _file(aircraft, rate_hz)
-    if kept is not None:
-        with suppress(InputError, ValueError, TypeError):
-            return Proof(**parse_json_map(read_bounded_text(kept)))
+    kept, name = kept_files(), _file_name(aircraft, rate_hz)
+    if content := kept.read(name):
+        with suppress(ValueError, TypeError):
+            return Proof(**parse_json_map(content))
     proof = compare(aircraft, rate_hz)
-    if kept is not None:
-        with suppress(OSError), write_text_file(kept) as file:
-            json.dump(asdict(proof), file)
+    kept.write(name, json.dumps(asdict(proof)).encode())
     return proof
 
 
-def _file(aircraft: CompiledAircraft, rate_hz: int) -> Path | None:
-    """Return the file of the result, whose name has all that the result depends on.
+def _file_name(aircraft: CompiledAircraft, rate_hz: int) -> str:
+    """Return the name of the kept result, which has all that the result depends on.
 
-    That is the aircraft, JSBSim, the translator and this module (by the folder, which is named
-    after the text of these packages), integrators and rate, and the libraries that make and run the
-    machine code.
+    That is the aircraft, JSBSim, integrators and rate, and the libraries that make and run the
+    machine code; the folder is named after the text of the translator and of this module.
     """
-    folder = cache_folder()
-    if folder is None:
-        return None
     of = (
         folder_digest(aircraft.folder),
         aircraft.source,
         aircraft.integrators,
         rate_hz,
         VERSION,
-        folder.name,
         [version(each) for each in ("numba", "llvmlite")],
         [platform.machine(), *platform.libc_ver()],
     )
-    digest = hashlib.sha256(repr(of).encode()).hexdigest()[:16]
-    return folder / f"proof-{digest}.json"
+    return f"proof-{hashlib.sha256(repr(of).encode()).hexdigest()[:16]}"
 
 
 def compare(

@@ -1,0 +1,92 @@
+"""Keep machine code of entries in kept files, in place of numba's own cache.
+
+numba's cache reads pickles of any owner, raises where one is damaged, and has an index per function
+that can be damaged, too. Here each entry and signature has a file of its own with a checksum.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import pickle
+import re
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+import llvmlite
+import numba
+from numba.core import compiler, serialize
+from numba.core.caching import _Cache
+from numba.core.runtime.nrt import rtsys
+
+from testbed.core.kept_files import KeptFiles
+
+SUFFIX = ".code"
+_VERSIONS = numba.__version__, llvmlite.__version__, sys.implementation.cache_tag
+_CompileResult: Any = compiler.CompileResult
+_dumps: Any = serialize.dumps
+_OTHER = re.compile(r"[^\w.]")  # characters, such as those of <locals>
+_LETTERS = 80  # of the name of an entry in that of its file
+
+
+class KeptCode(_Cache):
+    """The machine code of an entry, or of a function that is called by its address."""
+
+    def __init__(self, function: Callable[..., Any], kept: KeptFiles, *, by_name: bool) -> None:
+        """Read and write kept files; nothing is read yet.
+
+        Args:
+            function: of Python.
+            kept: where the machine code is.
+            by_name: the name of the function changes with its code, and alone tells which it is:
+                functions that it calls may be new objects in each process.
+        """
+        self._function, self._kept, self._by_name = function, kept, by_name
+
+    @property
+    def cache_path(self) -> str:
+        """Folder to which machine code is written; empty: none."""
+        return str(self._kept.folder or "")
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:  # noqa: ANN401 - numba's
+        """Return what was compiled for a signature, or None.
+
+        numba's own method first imports all types and operations that it can compile, which loading
+        does not need: 0.3 s, a fifth of the start of a run.
+        """
+        rtsys.initialize(target_context)
+        content = self._kept.read(self._file_name(sig, target_context.codegen()))
+        if content is None:
+            return None
+        with suppress(Exception):  # whatever numba raises: it is compiled anew
+            found = _CompileResult._rebuild(target_context, *pickle.loads(content))
+            if tuple(found.signature.args) == tuple(getattr(sig, "args", sig)):
+                return found
+        return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:  # noqa: ANN401 - numba's
+        """Keep what was compiled for a signature, where it can be kept."""
+        if self._kept.folder is None or data.library.has_dynamic_globals or data.lifted:
+            return
+        self._kept.write(self._file_name(sig, data.codegen), _dumps(data._reduce()))
+
+    def enable(self) -> None:
+        """Do nothing; numba's other caches can be disabled."""
+
+    def disable(self) -> None:
+        """Do nothing."""
+
+    def flush(self) -> None:
+        """Do nothing: files of other code have other names."""
+
+    def _file_name(self, signature: Any, codegen: Any) -> str:  # noqa: ANN401 - numba's
+        """Return the file name of a signature on this processor."""
+        function, code = self._function, self._function.__code__
+        name = f"{function.__module__}.{function.__qualname__}"
+        of: tuple[Any, ...] = (_VERSIONS, name, repr(signature), codegen.magic_tuple())
+        if not self._by_name:
+            cells = tuple(each.cell_contents for each in function.__closure__ or ())
+            of = (*of, code.co_filename, code.co_code, _dumps(cells) if cells else b"")
+        digest = hashlib.sha256(repr(of).encode()).hexdigest()[:32]
+        return f"{_OTHER.sub('', name)[-_LETTERS:]}-{digest}{SUFFIX}"
