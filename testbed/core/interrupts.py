@@ -108,20 +108,20 @@ def watch_compiled_code() -> Iterator[None]:
 def _watch(reading: int) -> None:
     """Read the numbers of signals, and act on those that Python does not handle."""
     count, effective_s = 0, float("-inf")
-    with open(reading, "rb", buffering=0) as file:
-        while (found := file.read(1)) not in (b"", _END):
-            if found[0] not in STOP_SIGNALS or time.monotonic() - effective_s < GRACE_S:
-                continue
-            count, effective_s = count + 1, time.monotonic()
-            if not _is_stuck(effective_s):
-                continue
-            if count > 1:
-                _print("ended: compiled code did not return")
-                os._exit(INTERRUPTED)
-            _print(
-                "\nstopping, but still in compiled code, such as a law under @testbed.kernel: "
-                "Ctrl-C (or another signal) ends it at once"
-            )
+    while (found := os.read(reading, 1)) not in (b"", _END):
+        if found[0] not in STOP_SIGNALS or time.monotonic() - effective_s < GRACE_S:
+            continue
+        count, effective_s = count + 1, time.monotonic()
+        if not _is_stuck(effective_s):
+            continue
+        if count > 1:
+            _print("ended: compiled code did not return")
+            os._exit(INTERRUPTED)
+        _print(
+            "\nstopping, but still in compiled code, such as a law under @testbed.kernel: "
+            "Ctrl-C (or another signal) ends it at once"
+        )
+    os.close(reading)
 
 
 def _print(text: str) -> None:

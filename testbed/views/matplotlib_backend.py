@@ -25,7 +25,7 @@ from testbed.views.panels import GREY, GRID, FieldMap, Heatmap, Line, Panel, Pan
 def _import_whatever_is_set() -> None:
     """Import Matplotlib, which fails where an environment variable names no backend of it."""
     try:
-        __import__("matplotlib")
+        import matplotlib  # noqa: F401
     except ImportError:
         raise
     except Exception:  # any of its own
@@ -34,7 +34,7 @@ def _import_whatever_is_set() -> None:
         names = "MPLBACKEND", "MATPLOTLIBRC"
         removed = {name: os.environ.pop(name) for name in names if name in os.environ}
         try:
-            __import__("matplotlib")
+            import matplotlib  # noqa: F401
         finally:
             os.environ.update(removed)
 

@@ -142,7 +142,7 @@ def test_large_file_is_not_read(kept, monkeypatch):
     assert kept.read("one") is None
 
 
-def test_readable_folder_is_read_and_the_next_is_written(tmp_path, monkeypatch):
+def test_readable_folder_is_read_the_next_written(tmp_path, monkeypatch):
     opened(tmp_path / "image").write("one", b"1")
     writable = kept_files._is_writable
     monkeypatch.setattr(
