@@ -4,7 +4,7 @@ A kept file that is missing, damaged or of another user is a miss: its content i
 replaces it. Reading raises no error, and nothing in a file is used before its checksum is compared.
 
 A folder is used only if no other user may write it. That is decided on the open folder, by which
-its files are then opened: neither a link nor a renamed folder can lead elsewhere later.
+its files are then read: neither a link nor a renamed folder can lead elsewhere later.
 """
 
 from __future__ import annotations
@@ -77,20 +77,18 @@ class KeptFiles:
         """Write or replace a file in one step, unless that is impossible, as on a full disk."""
         if self.folder is None:
             return
-        folder = self._opened[self.folder]
-        new = f".{secrets.token_hex(8)}.part"
+        path, new = self.folder / name, self.folder / f".{secrets.token_hex(8)}.part"
         with suppress(OSError):
-            handle = os.open(new, _CREATE, 0o644, dir_fd=folder)
+            handle = os.open(new, _CREATE, 0o644)
             try:
                 with open(handle, "wb") as file:
                     file.write(_MAGIC + self._digest(name, content))
                     file.write(content)
                 with suppress(OSError):  # an empty folder in its place
-                    os.rmdir(name, dir_fd=folder)
-                os.replace(new, name, src_dir_fd=folder, dst_dir_fd=folder)
+                    path.rmdir()
+                new.replace(path)
             except BaseException:
-                with suppress(OSError):
-                    os.unlink(new, dir_fd=folder)
+                new.unlink(missing_ok=True)
                 raise
 
     def _digest(self, name: str, content: bytes) -> bytes:

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 import warnings
+from types import ModuleType
 
 import numba
 import numpy as np
@@ -98,10 +99,10 @@ def test_damaged_machine_code_is_compiled_anew(kept, kind, monkeypatch, mark):
 
 
 def step_of(gain):
-    """A function of this module, compiled in a moment."""
-    space = {"__name__": "kept_step"}
-    exec(f"def step(x):\n    return {gain} * x + {gain}\n", space)
-    return space["step"]
+    """A function of a module, compiled in a moment."""
+    module = sys.modules.setdefault("kept_step", ModuleType("kept_step"))
+    exec(f"def step(x):\n    return {gain} * x + {gain}\n", module.__dict__)
+    return module.step
 
 
 def test_machine_code_of_another_entry_is_not_run(kept, monkeypatch):
