@@ -284,7 +284,7 @@ def fly(cache):
     )
     assert done.returncode == 0, done.stderr
     metrics = json.loads(done.stdout)
-    return {**metrics, "wall_time_s": None, "speed": None}, done.stderr.splitlines()
+    return {**metrics, "wall_s": None, "real_time_factor": None}, done.stderr.splitlines()
 
 
 @pytest.mark.skipif(not WHOLE, reason="TESTBED_KEPT_FILES=1: each compiles all kernels of a flight")
