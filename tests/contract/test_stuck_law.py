@@ -28,7 +28,10 @@ def endless(now, own, inbox, memory, config, from_s=-1.0):
     return FbwaCommand(0.0, 0.0, 0.5)
 """
 SCENARIO = "extends: simulation-3\ncontroller: {law: 'endless:endless', options: {from_s: 3.0}}\n"
-STUDY = "study: {name: stuck, scenario: law.yaml, duration_s: 4}\nvary: {scenario.seed: [1, 2]}\n"
+STUDY = """
+study: {schema: 1, name: stuck, scenario: law.yaml, duration_s: 4, design: factorial, seeds: [1, 2]}
+vary: {network.loss: [0, 0.4]}
+"""
 STUCK = "stopping, but still in compiled code"
 ENDS_S = 6.0  # a second signal, on a busy machine
 
@@ -162,7 +165,11 @@ def test_workers_with_such_a_law_are_ended(folder):
     workers = []
     try:
         # no flight of 4 s takes as long
-        until(lambda: max(map(process_s, children(study.process.pid)), default=0.0) > 15.0)
+        until(
+            lambda: (
+                ended(study) or max(map(process_s, children(study.process.pid)), default=0.0) > 15.0
+            )
+        )
         workers += children(study.process.pid)
         for _ in range(2):
             study.process.send_signal(signal.SIGINT)
