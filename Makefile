@@ -93,6 +93,7 @@ check-all: test release
 		tests/contract/test_run_files_fuzz.py tests/contract/test_write_errors.py
 	@TESTBED_ARGUMENTS=2000 $(BIN)/pytest -q tests/contract/test_arguments.py
 	@TESTBED_NUMBERS=1 $(BIN)/pytest -q tests/contract/test_scenario_schema.py
+	@TESTBED_KEYS=200 $(BIN)/pytest -q tests/contract/test_set_keys.py
 	@TESTBED_QUIET=1 $(BIN)/pytest -q tests/clients/test_real_time.py
 	@TESTBED_WHOLE=1 $(BIN)/pytest -q -n $(JOBS) tests/golden paper/tests \
 		tests/contract/test_saved_flights.py

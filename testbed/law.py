@@ -24,8 +24,11 @@ Vectors are north, east, down (NED) from the scenario's origin; angles in rad, r
 - `names`: of the n followers. `agents` (n,): their rows among the N aircraft; the leader's is 0.
 - `offsets` (N, 3) m: slots, forward, right, down in the leader's velocity frame; 0 for the leader.
 - `gains` (n, N, 3): β_i of the leader in column 0, β_ij of the neighbours; per axis of NED.
-- `speed_min`, `speed_max` (n,) m/s: bounds of the ground speed, or of the airspeed with
-  `controller.bounded_speed: airspeed`.
+- `airspeed_min`, `airspeed_max` (n,) m/s: bounds of the airspeed. `ground_speed_min`,
+  `ground_speed_max` (n,) m/s: those of the ground speed, 0 and infinite with
+  `controller.bounded_speed: airspeed`, the default in wind. The ground velocity is the velocity
+  through the air plus the wind; `ground_speed_bounds(config, own)` are the bounds of the speed over
+  the ground at present. `speed_min`, `speed_max`: older names of the airspeed's, without wind only.
 - `speed_pole` (n,) 1/s: p of the speed model ds/dt = p (u − s).
 - `pitch_limit`, `roll_limit` (n,) rad: of the fly-by-wire-A command.
 - `trim_throttle` (n,), 0 to 1: for level flight at `trim_airspeed` (n,) m/s.
@@ -45,7 +48,9 @@ Vectors are north, east, down (NED) from the scenario's origin; angles in rad, r
 0; NaN before the first:
 
 - `stamp_s` (n, N) s: time of the measurement on the sender's clock. `received_s` (n, N) s: time of
-  arrival on the receiver's clock.
+  arrival on the receiver's clock. With `controller.extrapolate_from` positions and velocities are
+  extrapolated to the present from one of the two, and both are `now`, but for messages that have
+  timed out.
 - `position_ned`, `velocity_ned`, `acceleration_ned` (n, N, 3): as above. `euler`, `euler_rates`
   (n, N, 3): roll, pitch, yaw, and their derivatives.
 
@@ -70,7 +75,7 @@ from __future__ import annotations
 from testbed.core.records import FbwaCommand, Inbox, UnicycleCommand, VehicleState
 from testbed.formation.compiled_law import FollowerConfig
 from testbed.formation.law import FormationConfig, Law, LimiterFlag
-from testbed.formation.velocity_command import command_from_velocity
+from testbed.formation.velocity_command import command_from_velocity, ground_speed_bounds
 
 __all__ = [
     "FbwaCommand",
@@ -82,4 +87,5 @@ __all__ = [
     "UnicycleCommand",
     "VehicleState",
     "command_from_velocity",
+    "ground_speed_bounds",
 ]

@@ -246,6 +246,9 @@ class AutopilotSession(VehicleControl):
 
     def set_airspeed(self, airspeed: float) -> Rejection | None:
         """See `VehicleControl`."""
+        if self._is_manual or self.mode is FlightMode.FBWA and not self.failsafe:
+            by = "manual commands" if self._is_manual else "the formation's commands"
+            return Rejection(f"mode {self.mode.name}: {by} set the throttle, no airspeed is held")
         low, high = self._parameters.airspeed_limits
         if not low <= airspeed <= high:
             return Rejection(f"{airspeed:g} m/s: write {low:g} to {high:g}")

@@ -121,3 +121,31 @@ def _fixed_name(value: Any) -> str | None:  # noqa: ANN401
     else:
         return None
     return name if module.partition(".")[0] in _FIXED else None
+
+
+def names_in_kernel(function: Callable[..., Any]) -> set[str]:
+    """Return the names that a function and those that it calls read: attributes and variables.
+
+    Args:
+        function: compiled by numba, or plain.
+    """
+    names, seen = set[str](), set[int]()
+    waiting: list[Any] = [function]
+    while waiting:
+        one = waiting.pop()
+        one = getattr(one, "py_func", one)
+        if id(one) in seen or not hasattr(one, "__code__") or _fixed_name(one) is not None:
+            continue
+        seen.add(id(one))
+        codes = [one.__code__]
+        cells = (each.cell_contents for each in one.__closure__ or ())
+        waiting += [each for each in cells if callable(each)]
+        while codes:
+            code = codes.pop()
+            codes += [each for each in code.co_consts if isinstance(each, CodeType)]
+            names.update(code.co_names)
+            values = [one.__globals__.get(name) for name in code.co_names]
+            modules = [each for each in values if isinstance(each, ModuleType)]
+            values += [getattr(each, name, None) for each in modules for name in code.co_names]
+            waiting += [each for each in values if callable(each)]
+    return names

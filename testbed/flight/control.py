@@ -39,6 +39,7 @@ from testbed.formation.compiled_law import (
     CompiledLaw,
     LawCommand,
     allocate_command,
+    allocate_inputs,
     give_inputs,
 )
 from testbed.formation.control_step import control_step, finish_step
@@ -80,6 +81,8 @@ class Control:
         membership: FormationMembership | None,
         run: tuple[Records, Records, Records],
         companions: Companions | None = None,
+        *,
+        extrapolates: bool = False,
     ) -> None:
         """Start before the first step; outputs are NaN.
 
@@ -91,7 +94,9 @@ class Control:
             membership: responses to declared failures; None: none.
             run: AIRCRAFT (N,), FOLLOWER (n,) and LINK (n, N).
             companions: that run the control; None: the autopilots' estimates are at hand.
+            extrapolates: a user's law receives messages that are extrapolated to the present.
         """
+        self._extrapolates = extrapolates
         self.groups, self.offsets, self._membership = groups, offsets, membership
         self._aircraft, self._followers, self._links = run
         self._companions = companions
@@ -148,22 +153,30 @@ class Control:
         elif isinstance(group.law, CompiledLaw):
             steps = self._compiled_law_steps(group, group.law)
         else:
+            inputs = allocate_inputs(len(group.rows), self._links.shape[1])
             command = allocate_command(len(group.rows))
-            after = command, self._finish_call(group, command)
-            steps = (partial(self._step_user_law, number, group.law, *after),)
+            before, after = self._inputs_call(group, *inputs), self._finish_call(group, command)
+            steps = (
+                before,
+                partial(self._step_user_law, number, group.law, inputs, command, after),
+            )
         if companions is None:
             return steps
         return companions.receive_states, *steps, companions.send_commands(group.rows)
 
     def _compiled_law_steps(self, group: ControlGroup, law: CompiledLaw) -> Steps:
         """Return the steps of a group with a user's kernel."""
-        inputs = group.rows, self._own, self._links, self._neighbours, law.own, law.inbox
         then = partial(_report_command, law, group.config)
         return (
-            Call(give_inputs, *inputs),
+            self._inputs_call(group, law.own, law.inbox),
             (law.call, then),
             self._finish_call(group, law.command),
         )
+
+    def _inputs_call(self, group: ControlGroup, own: VehicleState, inbox: Inbox) -> Call:
+        """Return what gives a user's law its inputs."""
+        known = self._own, self._links, self._neighbours, self._parts[0]
+        return Call(give_inputs, group.rows, *known, self._extrapolates, own, inbox, NOW)
 
     def _finish_call(self, group: ControlGroup, command: LawCommand) -> Call:
         """Return what comes after a user's law."""
@@ -171,26 +184,28 @@ class Control:
         return Call(_finish, group.rows, command, *limits, *self._parts, NOW)
 
     def _step_user_law(
-        self, number: int, law: Law, command: LawCommand, finish: Call, now: float
+        self,
+        number: int,
+        law: Law,
+        inputs: tuple[VehicleState, Inbox],
+        command: LawCommand,
+        finish: Call,
+        now: float,
     ) -> None:
         """Step a group by a user's law in Python, which receives copies of its inputs.
 
         Args:
             number: of the group.
             law: its own.
+            inputs: of `give_inputs`, for this step.
             command: written.
             finish: of `_finish_call`.
             now: s.
         """
         group, followers = self.groups[number], self._followers
         rows = group.rows
-        estimate = fields_of(VehicleState, self._own["estimate"])
-        own = VehicleState(*(each[1:][rows] for each in estimate))
-        inbox = Inbox(*(each[rows] for each in fields_of(Inbox, self._links)))
-        excluded = self._neighbours["excluded"][rows]
-        if excluded.any():
-            for each in inbox:
-                each[excluded] = np.nan
+        own = VehicleState(*(each.copy() for each in inputs[0]))
+        inbox = Inbox(*(each.copy() for each in inputs[1]))
         with _flight_errors(law):
             known = self._memory[number]
             memory = law.start(own) if known is None else known[0]

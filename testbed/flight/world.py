@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, NamedTuple
 
 from testbed.atmosphere.air import Atmosphere
@@ -33,6 +33,7 @@ from testbed.formation.barrier import sample_barrier
 from testbed.formation.law import FormationConfig
 from testbed.network.outages import Outages
 from testbed.network.radio import Radio
+from testbed.scenario.set_keys import UnusedKey
 from testbed.sensors.estimators import StateEstimators
 from testbed.vehicle.fleet import FlightModels
 from testbed.vehicle.trim import (
@@ -75,6 +76,7 @@ class BuiltControl:
     builtin: bool  # the law is that of [HBH23]
     hold_stale_neighbours: bool
     messages: tuple[str, ...]  # about a user's code
+    extrapolates: bool = False  # a user's law receives messages extrapolated to the present
 
     @property
     def barriers(self) -> tuple[tuple[int, float], ...]:
@@ -88,7 +90,7 @@ class BuiltControl:
         """Samples of each follower's barrier if it is a user's; empty if none is."""
         if not self.builtin:
             return ()
-        bounds = (self.config.speed_min.tolist(), self.config.speed_max.tolist())
+        bounds = (self.config.airspeed_min.tolist(), self.config.airspeed_max.tolist())
         each = barrier.barriers_of(self.controllers["law"]["barrier"])
         samples = tuple(sample_barrier(*one) for one in zip(each, *bounds, strict=True))
         return samples if any(samples) else ()
@@ -140,8 +142,14 @@ class World:
     make_of_seed: Callable[[int], tuple[object, ...]] | None = None  # None: more depends on it
 
     begin: Callable[[Any], None] | None = None  # lets a flight take over another; None: at 0 s
+    unused: tuple[UnusedKey, ...] = ()  # keys that the user has set, and that nothing reads
+    # the function that has read each key first, by the key's path
+    consumers: Mapping[tuple[str | int, ...], str] = field(default_factory=dict)
 
-    UNSAVED: ClassVar[tuple[str, ...]] = ("entries", "make_of_seed", "begin")
+    UNSAVED: ClassVar[tuple[str, ...]] = (
+        *("entries", "make_of_seed", "begin"),
+        *("unused", "consumers"),
+    )
 
     @property
     def of_seed(self) -> tuple[object, ...]:

@@ -28,6 +28,7 @@ from testbed.core.records import (
     allocate,
 )
 from testbed.formation.law import FormationConfig
+from testbed.formation.message_extrapolation import message_time, moved, timed_out
 
 F = TypeVar("F", bound=Callable[..., Any])
 LawOptions: TypeAlias = tuple[bool | int | float | tuple[float, ...], ...]
@@ -41,8 +42,12 @@ class FollowerConfig(NamedTuple):
     agents: int  # its row among the N aircraft; the leader's is 0
     offsets: Array  # (N, 3) υ, m: forward, right, down in the leader's velocity frame; leader zero
     gains: Array  # (N, 3) β_i in row 0, β_ij behind it, per axis of NED
-    speed_min: float  # m/s, lower bound of the ground speed
-    speed_max: float  # m/s, upper bound
+    airspeed_min: float  # m/s, lower bound of the airspeed
+    airspeed_max: float  # m/s, upper bound
+    ground_speed_min: float  # m/s, lower bound of the ground speed; 0: none
+    ground_speed_max: float  # m/s, upper bound; infinite: none
+    speed_min: float  # m/s, as airspeed_min, in flights without wind; for laws of older releases
+    speed_max: float  # m/s, as airspeed_max, in flights without wind
     speed_pole: float  # 1/s, p of the speed model ṡ = p (u − s)
     pitch_limit: float  # rad, of the fly-by-wire-A command
     roll_limit: float  # rad
@@ -150,6 +155,12 @@ class LawCommand(NamedTuple):
 UNICYCLE, FBWA = 1, 2
 
 
+def allocate_inputs(n: int, aircraft: int) -> tuple[VehicleState, Inbox]:
+    """Return estimates of n followers and their messages of N aircraft, of zeros."""
+    own = VehicleState(*np.zeros((5, n, 3)), *np.zeros((2, n)))
+    return own, Inbox(*np.zeros((2, n, aircraft)), *np.zeros((5, n, aircraft, 3)))
+
+
 def allocate_command(n: int) -> LawCommand:
     """Return commands of n followers, of no kind yet."""
     speeds, angles = np.zeros((2, n)), np.zeros((3, n))
@@ -198,12 +209,13 @@ class CompiledLaw:
         function = python_function(law)
         self.name, self.file = function.__name__, function.__code__.co_filename
         n, aircraft = config.gains.shape[:2]
-        self.own = VehicleState(*np.zeros((5, n, 3)), *np.zeros((2, n)))
-        self.inbox = Inbox(*np.zeros((2, n, aircraft)), *np.zeros((5, n, aircraft, 3)))
+        self.own, self.inbox = allocate_inputs(n, aircraft)
         self.command, self._options = allocate_command(n), options
         self._kernel = law
+        # laws that name an old field are refused where it has no meaning; see `user_code`
+        taken = {"speed_min": "airspeed_min", "speed_max": "airspeed_max"}
         names = (each for each in FollowerConfig._fields if each != "hbh23")
-        values: Any = {each: _read_only(getattr(config, each)) for each in names}
+        values: Any = {each: _read_only(getattr(config, taken.get(each, each))) for each in names}
         # numba lets a law write fields of a record, also of an array that is read-only
         given = np.frombuffer(hbh23.tobytes(), dtype=np.uint64).reshape(n, -1)  # read-only
         self._gains, self._given = given.copy(), given
@@ -358,6 +370,10 @@ def follower_config(config: Values, i: int) -> FollowerConfig:
         config.agents[i],
         config.offsets,
         config.gains[i],
+        config.airspeed_min[i],
+        config.airspeed_max[i],
+        config.ground_speed_min[i],
+        config.ground_speed_max[i],
         config.speed_min[i],
         config.speed_max[i],
         config.speed_pole[i],
@@ -447,8 +463,11 @@ def give_inputs(
     aircraft: Records,
     links: Records,
     neighbours: Records,
+    controllers: Records,
+    extrapolates: bool,
     own: VehicleState,
     inbox: Inbox,
+    now: float,
 ) -> None:
     """Copy what a user's law may read to the inputs of its next step.
 
@@ -457,8 +476,12 @@ def give_inputs(
         aircraft: (N,) of AIRCRAFT, with the estimates.
         links: (n, N) of LINK.
         neighbours: (n, N) of NEIGHBOUR; of those that are excluded the law has no message.
+        controllers: (n,) of CONTROLLER: how messages are extrapolated.
+        extrapolates: messages are extrapolated to the present, which is then their time; those
+            that have timed out stay as they were received.
         own: (m); written.
         inbox: (m, N); written.
+        now: s.
     """
     for k in range(len(rows)):
         estimate = aircraft[rows[k] + 1].estimate
@@ -471,7 +494,8 @@ def give_inputs(
             own.euler[k, axis] = estimate.euler[axis]
             own.rates_body[k, axis] = estimate.rates_body[axis]
         for j in range(links.shape[1]):
-            link, excluded = links[rows[k], j], neighbours[rows[k], j].excluded
+            link, other, law = links[rows[k], j], neighbours[rows[k], j], controllers[rows[k]].law
+            excluded = other.excluded
             inbox.stamp_s[k, j] = nan if excluded else link.stamp_s
             inbox.received_s[k, j] = nan if excluded else link.received_s
             for axis in range(3):
@@ -481,6 +505,13 @@ def give_inputs(
                 inbox.acceleration_ned[k, j, axis] = acceleration
                 inbox.euler[k, j, axis] = nan if excluded else link.euler[axis]
                 inbox.euler_rates[k, j, axis] = nan if excluded else link.euler_rates[axis]
+            if extrapolates and not (excluded or timed_out(link, now, other.timeout_s)):
+                dt = now - message_time(law, link)
+                position, velocity = moved(link, dt, law.with_acceleration, 1.0)
+                inbox.stamp_s[k, j] = inbox.received_s[k, j] = now
+                for axis in range(3):
+                    inbox.position_ned[k, j, axis] = position[axis]
+                    inbox.velocity_ned[k, j, axis] = velocity[axis]
 
 
 _ANSI = re.compile(r"\x1b\[[0-9;]*m")

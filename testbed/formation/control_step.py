@@ -13,6 +13,7 @@ import numpy as np
 
 from testbed.core.compile import entry, kernel
 from testbed.core.frames import norm
+from testbed.core.reads import Deferred
 from testbed.core.records import (
     FOLLOWER,
     LINK,
@@ -178,11 +179,20 @@ class Hbh23Law:
     Args:
         law: (n,) of LAW.
         neighbours: (n, N) of NEIGHBOUR.
+        step_reads: the keys that its steps use.
+        velocity_reads: the keys that `command_from_velocity` uses.
     """
 
-    def __init__(self, law: Records, neighbours: Records) -> None:
+    def __init__(
+        self,
+        law: Records,
+        neighbours: Records,
+        step_reads: tuple[Deferred, ...] = (),
+        velocity_reads: tuple[Deferred, ...] = (),
+    ) -> None:
         """See the class."""
         self.law, self.neighbours = law, neighbours
+        self.step_reads, self.velocity_reads = step_reads, velocity_reads
 
     def start(self, own: VehicleState) -> Hbh23Memory:
         """Return the memory before the first message."""
@@ -194,6 +204,8 @@ class Hbh23Law:
         self, now: float, own: VehicleState, inbox: Inbox, memory: Hbh23Memory
     ) -> tuple[UnicycleCommand, Hbh23Memory]:
         """Step all n followers; see `law.Law`."""
+        for each in self.step_reads:
+            each.use()
         n, aircraft = self.neighbours.shape
         estimate, links = allocate(MOTION, n), allocate(LINK, n, aircraft)
         out, leader, neighbours = (
@@ -217,6 +229,8 @@ class Hbh23Law:
             velocity_ned: p_d (n, 3) m/s, over the ground.
             acceleration_ned: ṗ_d (n, 3) m/s².
         """
+        for each in self.velocity_reads:
+            each.use()
         estimate, out = allocate(MOTION, len(self.law)), allocate(FOLLOWER, len(self.law))
         write_fields(estimate, own)
         _reach_velocities(self.law, estimate, velocity_ned, acceleration_ned, out)

@@ -45,11 +45,23 @@ def extrapolate(law: Record, link: Record, now: float) -> Values:
     Returns:
         Position, m, and velocity, m/s, NED; the velocity is horizontal for the horizontal variant.
     """
-    dt = now - message_time(law, link)
-    q, v, a = link.position_ned, link.velocity_ned, link.acceleration_ned
-    gain = dt if law.with_acceleration else 0.0
-    x, y, z = gain * a[0], gain * a[1], gain * a[2]
     vertical_weight = 0.0 if law.horizontal else 1.0
+    return moved(link, now - message_time(law, link), law.with_acceleration, vertical_weight)
+
+
+@kernel
+def moved(link: Record, dt: float, with_acceleration: bool, vertical_weight: float) -> Values:
+    """Return position, m, and velocity, m/s, NED, of a message a time dt, s, after it.
+
+    Args:
+        link: record of LINK.
+        dt: s.
+        with_acceleration: along a parabola, not a straight line.
+        vertical_weight: of the vertical velocity that is returned, 0 or 1.
+    """
+    q, v, a = link.position_ned, link.velocity_ned, link.acceleration_ned
+    gain = dt if with_acceleration else 0.0
+    x, y, z = gain * a[0], gain * a[1], gain * a[2]
     return (
         (
             q[0] + dt * v[0] + 0.5 * dt * x,

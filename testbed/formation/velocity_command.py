@@ -10,6 +10,7 @@ from numba.core import types
 from numba.extending import overload
 
 from testbed.core.compile import kernel
+from testbed.core.frames import norm
 from testbed.core.records import Array, UnicycleCommand, Values, Vector, VehicleState
 from testbed.formation.compiled_law import FollowerConfig, require_vector
 from testbed.formation.control_step import Hbh23Law
@@ -65,6 +66,42 @@ def command_from_velocity(
     if len(still):
         raise ValueError(f"velocity_ned of {config.names[still[0]]} is zero: it has no direction")
     return law.command_from_velocity(own, *arrays)
+
+
+def ground_speed_bounds(
+    config: FormationConfig | FollowerConfig, own: VehicleState
+) -> tuple[Any, Any]:
+    """Compute the bounds of the speeds over the ground that followers can fly now.
+
+    They are those with which the built-in law flies: the bounds of the airspeed, shifted by ground
+    speed minus airspeed, in wind; those of the ground speed where the scenario has them, as in
+    flights without wind. In a law under `testbed.kernel` they are two numbers.
+
+    Args:
+        config: the first argument of the law's class.
+        own: the followers' estimates, as `step` receives them.
+
+    Returns:
+        Lower and upper bounds (n,) m/s.
+    """
+    if isinstance(config, FollowerConfig):  # a kernel that runs as Python
+        return _follower_bounds(config, own)
+    if config.bounds_ground_speed:
+        return config.ground_speed_min, config.ground_speed_max
+    shift = np.linalg.norm(own.velocity_ned, axis=1) - own.airspeed
+    return config.airspeed_min + shift, config.airspeed_max + shift
+
+
+@kernel
+def _follower_bounds(config: FollowerConfig, own: Values) -> tuple[float, float]:
+    """Compute the bounds of one follower."""
+    if isfinite(config.ground_speed_max):
+        return config.ground_speed_min, config.ground_speed_max
+    shift = norm(own.velocity_ned) - own.airspeed
+    return config.airspeed_min + shift, config.airspeed_max + shift
+
+
+overload(ground_speed_bounds)(lambda config, own: lambda config, own: _follower_bounds(config, own))
 
 
 @kernel

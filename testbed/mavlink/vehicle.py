@@ -26,6 +26,12 @@ from testbed.mavlink.vehicle_control import FlightMode, VehicleControl
 COMPONENT = 1  # an autopilot
 HEARTBEAT_S = 1.5  # wall-clock s: keeps a run that waits visible to ground stations
 _BROADCAST = 0
+_ANSWERS = "_ACK", "_VALUE", "_RESPONSE", "_DATA"  # ends of names
+_MAX_REFUSED = 1000  # kinds of messages and senders
+_ATTITUDE = " (send SET_ATTITUDE_TARGET, or DO_REPOSITION in GUIDED)"
+_IN_PLACE = dict.fromkeys(
+    ("SET_POSITION_TARGET_LOCAL_NED", "SET_POSITION_TARGET_GLOBAL_INT"), _ATTITUDE
+)
 _SEVERITY = {"info": Severity.INFO, "warning": Severity.WARNING, "error": Severity.ERROR}
 
 
@@ -66,17 +72,35 @@ class MavlinkVehicle:
         }
         self._item = self._active_item()
         self._heartbeat_s = float("-inf")
+        self._refused: set[tuple[int, int, str]] = set()  # sender and name
 
     def handle(self, message: Message, wall_s: float) -> list[OutgoingMessage]:
         """Execute a message if it is addressed to this vehicle, and return the answers."""
-        handler = self._handlers.get(message.name)
-        if handler is None or not self._is_addressed(message):
+        if not self._is_addressed(message):
             return []
+        handler = self._handlers.get(message.name)
+        if handler is None:
+            return self._refuse(message)
         before, self._context.wall_s = self._active_item(), wall_s
         replies = handler(message)
         if self._active_item() != before:
             self._item = self._active_item()  # by command: no item has been reached
         return replies
+
+    def _refuse(self, message: Message) -> list[OutgoingMessage]:
+        """Answer a message that asks for something and has no handler: once for each sender.
+
+        What names no vehicle asks for nothing, and answers are not answered.
+        """
+        if "target_system" not in message.fields or message.name.endswith(_ANSWERS):
+            return []
+        key = message.system, message.component, message.name
+        if key in self._refused or len(self._refused) >= _MAX_REFUSED:
+            return []
+        self._refused.add(key)
+        remedy = _IN_PLACE.get(message.name, "")
+        text = f"{message.name} is ignored: not supported here{remedy}"
+        return self._context.texts.make_text(Severity.WARNING, text)
 
     def update(self, snapshot: TelemetrySnapshot, wall_s: float) -> list[OutgoingMessage]:
         """Take a sample, and return the messages that are due with it."""

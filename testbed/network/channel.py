@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from typing import NamedTuple
 
 import numpy as np
 
 from testbed.core import ranges
 from testbed.core.csv_table import read_table
+from testbed.core.reads import unrecorded
 from testbed.core.records import Array, BoolArray, Records, allocate
 from testbed.network import delays
 from testbed.network.clocks import CLOCK
@@ -102,7 +104,9 @@ def _parameters(
     """Return the parameters () of one link; tables that it needs are added."""
     record = np.zeros((), dtype=LINK_PARAMETERS)
     record["gap"] = record["per_slot"] = record["bits"] = 1
-    record["netem"] = link.arithmetic == "netem"
+    random = link.loss, link.duplicate, link.corrupt, link.reorder, link.jitter
+    with nullcontext() if any(each is not None for each in random) else unrecorded():
+        record["netem"] = link.arithmetic == "netem"
     record["delay"] = link.delay_s
     _set_loss(record, link)
     for event, chance in (
@@ -111,9 +115,9 @@ def _parameters(
         (REORDER, link.reorder),
     ):
         _set_event(record, event, chance)
-    if link.corrupt:
+    if link.corrupt and link.corrupt.probability:
         record["bits"] = link.corrupt.bits
-    if link.reorder:
+    if link.reorder and link.reorder.probability:
         record["gap"] = link.reorder.gap
     if link.jitter:
         _set_jitter(record, link.jitter, tables)
@@ -152,7 +156,9 @@ def _set_event(record: Records, event: int, chance: PacketEvent | Reorder | None
     """Set a two-state Markov chain with this probability and lag-1 correlation."""
     if chance is None:
         return
-    p, rho = chance.probability, chance.correlation
+    p = chance.probability
+    with nullcontext() if 0.0 < p else unrecorded():  # nothing is correlated with it
+        rho = chance.correlation
     record["after_none"][event] = p * (1.0 - rho)
     record["after_one"][event] = p + rho * (1.0 - p)
     record["share"][event] = _netem_number(p)
@@ -165,8 +171,11 @@ def _netem_number(part: float) -> int:
 
 
 def _set_jitter(record: Records, jitter: Jitter, tables: list[Array]) -> None:
-    record["in_order"] = jitter.in_order
-    if not (jitter.spread_s or jitter.distribution == "empirical"):
+    varies = jitter.spread_s or jitter.distribution == "empirical"
+    # packets with one delay overtake each other by `reorder` alone
+    with nullcontext() if varies or record["share"][REORDER] else unrecorded():
+        record["in_order"] = jitter.in_order
+    if not varies:
         return
     kind = JITTERS.index(jitter.distribution)
     record["jitter"], record["spread"] = kind, jitter.spread_s

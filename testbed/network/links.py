@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from testbed.core.reads import derive
 from testbed.scenario.network import Link, Network
 
 Numbers = NDArray[np.int64]
@@ -146,5 +147,8 @@ def resolve_links(names: Sequence[str], network: Network) -> PairLinks:
                 if entries not in made:
                     link = network.link(sender, receiver)
                     made[entries] = distinct.setdefault(link, len(distinct))
+                    first = list(distinct)[made[entries]]
+                    if first is not link:  # which stands for both
+                        derive(first, {name: [(link, name)] for name in Link.model_fields})
                 index[i, m] = made[entries]
     return PairLinks(tuple(names), network, tuple(distinct), index)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from contextlib import nullcontext
 
 import numpy as np
 
@@ -29,6 +30,7 @@ from testbed.atmosphere.turbulence_field import (
 )
 from testbed.atmosphere.wake import WakeModel
 from testbed.core.errors import InputError
+from testbed.core.reads import unrecorded
 from testbed.core.records import Airframe, Event, Records
 from testbed.core.standard_atmosphere import (
     LAPSE_RATE,
@@ -91,14 +93,22 @@ def build_mean_wind(wind: Wind, *, height_m: float, duration_s: float) -> MeanWi
     """
     if wind.file is None:
         time = np.zeros(1)
-        velocity = wind_from_direction(np.array([wind.speed_mps]), math.radians(wind.from_deg))
+        with nullcontext() if blows(wind) else unrecorded():
+            velocity = wind_from_direction(np.array([wind.speed_mps]), math.radians(wind.from_deg))
     else:
         path = find_data(wind.file)
         try:
             time, velocity = read_wind(path, wind.max_gap_s, duration_s)
         except InputError as error:
             raise InputError(f"air.wind.file: {error}") from error
-    return make_mean_wind(time, velocity, profile=_profile(wind), advection_height=height_m)
+    with nullcontext() if blows(wind) else unrecorded():
+        profile = _profile(wind)
+    return make_mean_wind(time, velocity, profile=profile, advection_height=height_m)
+
+
+def blows(wind: Wind) -> bool:
+    """Return whether there is a mean wind, which has a direction and a profile."""
+    return wind.file is not None or wind.speed_mps > 0.0
 
 
 def initial_wind(mean: MeanWind, height: float) -> tuple[float, float, float]:
@@ -123,11 +133,15 @@ def turbulence_scales(turbulence: Turbulence) -> Scales | None:
     """Return intensities and lengths of the turbulence by height; None without turbulence."""
     if turbulence.model == "none":
         return None
-    standard = INTENSITIES[turbulence.intensity]
+    given = turbulence.sigma_mps is not None  # in place of what the others decide
+    with unrecorded() if given else nullcontext():
+        w20, probability = turbulence.w20_mps, turbulence.probability
+        with nullcontext() if w20 is None or probability is None else unrecorded():
+            standard = INTENSITIES[turbulence.intensity]
     return Scales(
         "dryden" if turbulence.model == "dryden" else "von-karman",
-        standard.w20 if turbulence.w20_mps is None else turbulence.w20_mps,
-        standard.probability if turbulence.probability is None else turbulence.probability,
+        standard.w20 if w20 is None else w20,
+        standard.probability if probability is None else probability,
         turbulence.sigma_mps,
         turbulence.length_m,
     )

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from operator import attrgetter
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from testbed.core.errors import InputError
 from testbed.core.frames import PAPER_GRAVITY
-from testbed.core.records import Array, FbwaCommand, Records, allocate
+from testbed.core.reads import Deferred, current, deferred, derive, unrecorded
+from testbed.core.records import Array, FbwaCommand, Records, UnicycleCommand, allocate
 from testbed.core.speed_model import OwnSpeedModel, speed_model_records
 from testbed.core.speed_model import make_own as make_speed_model
 from testbed.flight.companion import Companions
@@ -31,6 +33,7 @@ from testbed.plan.fleet import AgentParameters, FormationPlan, PlannedFollower
 from testbed.plan.user_code import build_function, build_law, check_law
 from testbed.scenario import MiddleLoopGains as Profile
 from testbed.scenario.control import Companion, Controller
+from testbed.scenario.middle_loop import Estimators
 
 _ACCELERATION_SOURCES = {
     "none": leader.NOTHING,
@@ -46,24 +49,38 @@ _ANGULAR_ACCELERATION_SOURCES = {
 
 def build_control(fleet: FormationPlan, controller: Controller, clock: Clock) -> BuiltControl:
     """Build the control of the followers of a fleet."""
-    config = build_config(fleet, controller, dt=clock.control / clock.base_rate_hz)
-    law, messages = build_law_records(fleet.followers, controller, config)
-    loops = build_loops(fleet.followers, controller, config)
     builtin = controller.law == "hbh23"
+    extrapolates = not builtin and controller.extrapolate_from is not None
+    config, parts = build_config(fleet, controller, dt=clock.control / clock.base_rate_hz)
+    law, messages, reads = build_law_records(fleet.followers, controller, config)
+    loops, flown_loops = build_loops(fleet.followers, controller, config)
     hold = builtin and controller.on_neighbour_timeout == "hold-relative-position"
     timeout_s = math.inf if hold else config.neighbour_timeout_s
-    neighbours = make_neighbours(config.offsets, config.gains, config.leader_timeout_s, timeout_s)
+    with deferred() as weights:
+        gains = config.gains
+    neighbours = make_neighbours(config.offsets, gains, config.leader_timeout_s, timeout_s)
     controllers = initial_controllers(law, loops, [each.is_ideal for each in fleet.followers])
+    if builtin:
+        _use(weights, *reads)
+    if extrapolates:
+        reads.extrapolation.use()
+    commands: set[type] = {UnicycleCommand} if builtin else set()
     groups = []
     for rows in clock.groups:
         members, user_law = select_followers(config, rows), None
         if not builtin:
             indices = list(rows)
-            hbh23 = Hbh23Law(law[indices], neighbours[indices])
-            user_law, origin = build_law(controller.law, controller.options, members, hbh23)
-            _check_user_law(fleet.followers, members, user_law)
+            hbh23 = Hbh23Law(
+                law[indices], neighbours[indices], (weights, *reads), (reads.velocity,)
+            )
+            user_law, origin = build_law(controller.law, controller.options, members, parts, hbh23)
+            commands.add(_check_user_law(fleet.followers, members, user_law))
             messages.append(f"the law {law_name(user_law)} runs {origin}")
         groups.append(ControlGroup(np.array(rows, dtype=np.intp), members, user_law))
+    if UnicycleCommand in commands:
+        flown_loops.use()
+    if FbwaCommand in commands:  # which are limited to them
+        _use(parts["pitch_limit"], parts["roll_limit"])
     return BuiltControl(
         config,
         tuple(groups),
@@ -72,13 +89,27 @@ def build_control(fleet: FormationPlan, controller: Controller, clock: Clock) ->
         builtin,
         hold,
         tuple(dict.fromkeys(messages)),
+        extrapolates=extrapolates,
     )
+
+
+def _use(*parts: Deferred) -> None:
+    for each in parts:
+        each.use()
+
+
+class LawReads(NamedTuple):
+    """What was read for the parts of the records of laws."""
+
+    velocity: Deferred  # from a desired velocity to a command, (8)-(15)
+    extrapolation: Deferred  # of messages
+    rest: Deferred
 
 
 def _check_user_law(
     followers: Sequence[PlannedFollower], config: FormationConfig, law: Law
-) -> None:
-    """Check a user's law, and that its vehicles accept its type of command."""
+) -> type[UnicycleCommand | FbwaCommand[Array]]:
+    """Check a user's law, and return its type of command, which its vehicles accept."""
     command = check_law(law, config)
     unicycles = [each.name for each in followers if each.is_ideal]
     unable = [name for name in config.names if name in unicycles]
@@ -88,27 +119,47 @@ def _check_user_law(
             f"cannot fly (write vehicle: jsbsim for {', '.join(unable)}, or return a "
             "UnicycleCommand)"
         )
+    return command
 
 
 def build_law_records(
     followers: Sequence[PlannedFollower], controller: Controller, config: FormationConfig
-) -> tuple[Records, list[str]]:
-    """Return the laws (n,) of LAW of followers, and messages about functions of the user's.
+) -> tuple[Records, list[str], LawReads]:
+    """Return the laws (n,) of LAW of followers.
+
+    Returns:
+        The laws, messages about functions of the user's, and what was read for each part.
 
     Raises:
         InputError: a function of the user's violates (C1), (C2) or (B1) to (B5).
     """
+    law, messages = allocate(LAW, len(config.names)), list[str]()
+    law["row"] = config.agents
+    with deferred() as velocity:
+        _write_velocity_control(law, followers, controller, config, messages)
+    chosen = [_estimators(each, controller) for each in followers]
+    with deferred() as extrapolation:
+        _write_extrapolation(law, controller, chosen)
+    with deferred() as rest:
+        _write_estimates(law, chosen)
+        _write_timeouts(law, controller, config)
+    return law, messages, LawReads(velocity, extrapolation, rest)
+
+
+def _write_velocity_control(
+    law: Records,
+    followers: Sequence[PlannedFollower],
+    controller: Controller,
+    config: FormationConfig,
+    messages: list[str],
+) -> None:
+    """Write what turns a desired velocity into a command; functions add messages."""
     names, agents = config.names, [each.agent for each in followers]
-    law = allocate(LAW, len(names))
-    chosen = [controller.estimators.over(each.gains.estimators) for each in followers]
-    loiters = controller.on_leader_timeout == "loiter"
-    tangent = math.tan(math.radians(controller.loiter_bank_deg)) if loiters else 0.0
-    law["row"], law["speed_pole"] = config.agents, config.speed_pole
+    law["speed_pole"] = config.speed_pole
     for key in ("k", "a", "b"):
         law[key] = [getattr(each, key) for each in agents]
     law["c"] = [each.c.constant for each in agents]
     law["c_speed"] = [each.c.per_speed_squared for each in agents]
-    messages: list[str] = []
     functions = [make_control_function(each.control_function, messages) for each in agents]
     law["mu"] = control_function.control_function_records(*functions)
     speed_set = _speed_set(agents, config, law["k"], functions)
@@ -116,7 +167,7 @@ def build_law_records(
         law[f"speed_{field}"] = speeds
     barriers = [
         make_barrier(each.barrier, low, high, messages)
-        for each, low, high in zip(agents, config.speed_min, config.speed_max, strict=True)
+        for each, low, high in zip(agents, config.airspeed_min, config.airspeed_max, strict=True)
     ]
     law["barrier"] = barrier.barrier_records(*barriers)
     for found in check_barrier(barriers, speed_set):
@@ -127,23 +178,56 @@ def build_law_records(
     )
     law["horizontal"] = ~np.isnan([each.altitude for each in followers])
     law["bounds_of_airspeed"] = controller.bounded_speed == "airspeed"
+
+
+def _estimators(follower: PlannedFollower, controller: Controller) -> Estimators:
+    """Return the estimators of a follower: those of its airframe, with the scenario's changes."""
+    changes, own = controller.estimators, follower.gains.estimators
+    with unrecorded():
+        chosen = changes.over(own)
+        changed = {name for name in Estimators.model_fields if getattr(changes, name) is not None}
+    sources = {
+        name: [(changes if name in changed else own, name)] for name in Estimators.model_fields
+    }
+    derive(chosen, sources)
+    return chosen
+
+
+def _write_extrapolation(
+    law: Records, controller: Controller, chosen: Sequence[Estimators]
+) -> None:
+    """Write how messages are extrapolated to the present."""
     law["from_timestamp"] = controller.extrapolate_from == "timestamp"
     law["with_acceleration"] = [each.extrapolation == "acceleration" for each in chosen]
+
+
+def _write_estimates(law: Records, chosen: Sequence[Estimators]) -> None:
+    """Write how the leader's accelerations are estimated; a source reads its own keys only."""
     law["acceleration_source"] = [
         _ACCELERATION_SOURCES[each.leader_acceleration] for each in chosen
     ]
-    law["acceleration_blend"] = [each.leader_acceleration_blend for each in chosen]
-    law["difference_blend"] = [each.leader_difference_blend for each in chosen]
     law["angular_acceleration_source"] = [
         _ANGULAR_ACCELERATION_SOURCES[each.leader_angular_acceleration] for each in chosen
     ]
-    law["turn_rate_blend"] = [each.leader_turn_rate_blend for each in chosen]
+    for key, source, name, used in (
+        ("acceleration_blend", "acceleration_source", "leader_acceleration_blend", "BROADCAST"),
+        ("difference_blend", "acceleration_source", "leader_difference_blend", "TURN"),
+        ("turn_rate_blend", "angular_acceleration_source", "leader_turn_rate_blend", "DIFFERENCE"),
+    ):
+        for row, each in enumerate(chosen):
+            with nullcontext() if law[source][row] == getattr(leader, used) else unrecorded():
+                law[key][row] = getattr(each, name)
+
+
+def _write_timeouts(law: Records, controller: Controller, config: FormationConfig) -> None:
+    """Write what followers do without messages of the leader or of neighbours."""
+    loiters = controller.on_leader_timeout == "loiter"
+    tangent = math.tan(math.radians(controller.loiter_bank_deg)) if loiters else 0.0
     law["leader_timeout_s"] = config.leader_timeout_s
     law["neighbour_timeout_s"] = config.neighbour_timeout_s
     law["hold_stale_neighbours"] = controller.on_neighbour_timeout == "hold-relative-position"
     law["lost_leader_airspeed"] = config.trim_airspeed
     law["lost_leader_turn_rate"] = PAPER_GRAVITY * tangent / config.trim_airspeed
-    return law, messages
 
 
 def own_speed_model(
@@ -234,7 +318,7 @@ def _speed_set(
     functions: Sequence[ControlFunction | UserControlFunction],
 ) -> SpeedSet:
     """Return S and S_d, by fact 1 where the scenario does not give S_d."""
-    low, high = config.speed_min, config.speed_max
+    low, high = config.airspeed_min, config.airspeed_max
     kappa = np.array([each.kappa_mps for each in agents])
     epsilon = margin(k, kappa, np.array([each.bound for each in functions]))
     desired_low, desired_high = low + epsilon, high - epsilon
@@ -245,8 +329,10 @@ def _speed_set(
 
 
 _OF_FOLLOWERS = (
-    "speed_min",
-    "speed_max",
+    "airspeed_min",
+    "airspeed_max",
+    "ground_speed_min",
+    "ground_speed_max",
     "speed_pole",
     "pitch_limit",
     "roll_limit",
@@ -255,43 +341,74 @@ _OF_FOLLOWERS = (
 )
 
 
-def build_config(fleet: FormationPlan, controller: Controller, *, dt: float) -> FormationConfig:
-    """Build the configuration of all n followers, which step every `dt` s."""
+def build_config(
+    fleet: FormationPlan, controller: Controller, *, dt: float
+) -> tuple[FormationConfig, Mapping[str, Deferred]]:
+    """Build the configuration of all n followers, which step every `dt` s.
+
+    Returns:
+        The configuration, and what was read for each of its fields.
+    """
     names, profiles = fleet.names[1:], [each.gains for each in fleet.followers]
-    leader_s, neighbour_s = controller.leader_timeout_s, controller.neighbour_timeout_s
-    low, high = np.array([each.agent.speed_mps for each in fleet.followers]).T
-    poles = [each.agent.speed_pole_per_s for each in fleet.followers]
-    return FormationConfig(
-        names=names,
-        agents=np.arange(1, len(names) + 1, dtype=np.intp),
-        offsets=fleet.offsets,
-        gains=fleet.weights,
-        speed_min=low.copy(),
-        speed_max=high.copy(),
-        speed_pole=np.array(poles, dtype=np.float64),
-        pitch_limit=profile_values(profiles, "limits.pitch_deg", scale=math.radians(1.0)),
-        roll_limit=profile_values(profiles, "limits.roll_deg", scale=math.radians(1.0)),
-        trim_throttle=profile_values(profiles, "trim_throttle"),
-        trim_airspeed=profile_values(profiles, "trim_airspeed_mps"),
-        dt=dt,
-        leader_timeout_s=leader_s,
-        neighbour_timeout_s=leader_s if neighbour_s is None else neighbour_s,
-    )
+    agents = [each.agent for each in fleet.followers]
+
+    def speeds(of_ground: bool, index: int, none: float) -> Array:
+        if of_ground and controller.bounded_speed == "airspeed":
+            return np.full(len(agents), none)
+        return np.array([each.speed_mps[index] for each in agents], dtype=np.float64)
+
+    def leader_timeout() -> float:
+        return controller.leader_timeout_s
+
+    def neighbour_timeout() -> float:
+        own = controller.neighbour_timeout_s
+        return controller.leader_timeout_s if own is None else own
+
+    degree = math.radians(1.0)
+    make: dict[str, Callable[[], Any]] = {
+        "names": lambda: names,
+        "agents": lambda: np.arange(1, len(names) + 1, dtype=np.intp),
+        "offsets": lambda: fleet.offsets,
+        "gains": lambda: fleet.weights,
+        "airspeed_min": lambda: speeds(False, 0, 0.0),
+        "airspeed_max": lambda: speeds(False, 1, math.inf),
+        "ground_speed_min": lambda: speeds(True, 0, 0.0),
+        "ground_speed_max": lambda: speeds(True, 1, math.inf),
+        "speed_pole": lambda: np.array([each.speed_pole_per_s for each in agents]),
+        "pitch_limit": lambda: profile_values(profiles, "limits.pitch_deg", scale=degree),
+        "roll_limit": lambda: profile_values(profiles, "limits.roll_deg", scale=degree),
+        "trim_throttle": lambda: profile_values(profiles, "trim_throttle"),
+        "trim_airspeed": lambda: profile_values(profiles, "trim_airspeed_mps"),
+        "dt": lambda: dt,
+        "leader_timeout_s": leader_timeout,
+        "neighbour_timeout_s": neighbour_timeout,
+    }
+    values: dict[str, Any] = {}
+    parts: dict[str, Deferred] = {}
+    for name, value in make.items():
+        with deferred() as parts[name]:
+            values[name] = value()
+    parts["speed_min"], parts["speed_max"] = parts["airspeed_min"], parts["airspeed_max"]
+    config = FormationConfig(**values)
+    if (reads := current()) is not None:
+        reads.register_parts(config, parts)
+    return config, parts
 
 
 def select_followers(config: FormationConfig, rows: Sequence[int]) -> FormationConfig:
     """Select some followers; all N aircraft stay possible neighbours."""
     chosen = np.array(rows, dtype=np.intp)
-    return FormationConfig(
-        names=tuple(config.names[i] for i in rows),
-        agents=config.agents[chosen],
-        offsets=config.offsets,
-        gains=config.gains[chosen],
-        **{name: getattr(config, name)[chosen] for name in _OF_FOLLOWERS},
-        dt=config.dt,
-        leader_timeout_s=config.leader_timeout_s,
-        neighbour_timeout_s=config.neighbour_timeout_s,
-    )
+    with unrecorded():
+        return FormationConfig(
+            names=tuple(config.names[i] for i in rows),
+            agents=config.agents[chosen],
+            offsets=config.offsets,
+            gains=config.gains[chosen],
+            **{name: getattr(config, name)[chosen] for name in _OF_FOLLOWERS},
+            dt=config.dt,
+            leader_timeout_s=config.leader_timeout_s,
+            neighbour_timeout_s=config.neighbour_timeout_s,
+        )
 
 
 def profile_values(profiles: Sequence[Profile], path: str, scale: float = 1.0) -> Array:
@@ -350,33 +467,38 @@ def make_loops(
         airspeed_error_as_printed: see LOOP.
     """
     loops = allocate(LOOP, len(profiles))
-    for name, path in _SCALED.items():
-        loops[name] = profile_values(profiles, path, scale)
-    for name, path in _UNSCALED.items():
-        loops[name] = profile_values(profiles, path)
-    for name, path in _DEGREES.items():
-        loops[name] = profile_values(profiles, path, math.radians(1.0))
+    loops["altitude"] = altitude
+    holds = ~np.isnan(loops["altitude"])
+    for names, degree in ((_SCALED, scale), (_UNSCALED, 1.0), (_DEGREES, math.radians(1.0))):
+        for name, path in names.items():
+            # altitude gains are for followers that hold an altitude, path gains for the others
+            used = holds.any() if name.startswith("altitude_") else True
+            used = not holds.all() if name.startswith("gamma_") else used
+            with nullcontext() if used else unrecorded():
+                loops[name] = profile_values(profiles, path, degree)
     loops["course_inside"] = [each.course_feedback == "inside_arctangent" for each in profiles]
     loops["incidence"], loops["dt"] = incidence, dt
-    loops["speed_min"], loops["speed_max"], loops["altitude"] = speed_min, speed_max, altitude
+    loops["speed_min"], loops["speed_max"] = speed_min, speed_max
     loops["airspeed_error_as_printed"] = airspeed_error_as_printed
     return loops
 
 
 def build_loops(
     followers: Sequence[PlannedFollower], controller: Controller, config: FormationConfig
-) -> Records:
-    """Return the middle loops (n,) of LOOP of the followers."""
-    return make_loops(
-        [each.gains for each in followers],
-        dt=config.dt,
-        speed_min=config.speed_min,
-        speed_max=config.speed_max,
-        altitude=np.array([each.altitude for each in followers]),
-        scale=controller.gain_scale,
-        incidence=float(controller.pitch_feedforward == "incidence"),
-        airspeed_error_as_printed=controller.throttle_error == "airspeed",
-    )
+) -> tuple[Records, Deferred]:
+    """Return the middle loops (n,) of LOOP of the followers, and what was read for them."""
+    with deferred() as reads:
+        loops = make_loops(
+            [each.gains for each in followers],
+            dt=config.dt,
+            speed_min=config.airspeed_min,
+            speed_max=config.airspeed_max,
+            altitude=np.array([each.altitude for each in followers]),
+            scale=controller.gain_scale,
+            incidence=float(controller.pitch_feedforward == "incidence"),
+            airspeed_error_as_printed=controller.throttle_error == "airspeed",
+        )
+    return loops, reads
 
 
 def build_companions(each: Companion, clock: Clock, aircraft: Records) -> Companions | None:

@@ -15,6 +15,7 @@ from testbed.scenario.aircraft import AircraftSection
 from testbed.scenario.arguments import with_changes
 from testbed.scenario.control import OnFailure
 from testbed.scenario.faults import AnyFault, GpsJump, GpsLost
+from testbed.scenario.set_keys import read_all
 from testbed.sensors.estimators import has_filter
 from testbed.vehicle.fleet import FlightModels
 
@@ -36,6 +37,8 @@ def build_faults(
     faults = [[_as_declared(one, each) for one in each.faults] for each in aircraft]
     if not any(faults):
         return None
+    for one in (fault for each in aircraft for fault in each.faults):
+        read_all(one)
     if models is not None:
         for model, row in enumerate(fleet.model_rows):
             models.check_faults(model, names[row], faults[row])

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -16,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from testbed.autopilot.parameters import FbwaParams, read_params
+from testbed.core.reads import Deferred, current, deferred, unrecorded
 from testbed.core.records import Airframe, Array, BoolArray, NedOrigin
 from testbed.scenario import (
     MiddleLoopGains,
@@ -39,10 +41,10 @@ from testbed.scenario.control import (
     SpeedRange,
 )
 from testbed.scenario.middle_loop import Guidance
+from testbed.scenario.set_keys import register_section
 from testbed.vehicle.jsbsim_adapter import airframe, probe_airframes
 
 
-@dataclass(frozen=True, slots=True)
 class AgentParameters:
     """Parameters of the law for one follower: its own, or those of all; see `Formation`."""
 
@@ -58,6 +60,19 @@ class AgentParameters:
     control_function: ControlFunction
     barrier: BarrierFunction
     own_keys: frozenset[str]  # keys of the follower that differ from those of all
+
+    def __init__(self, formation: Formation, agent: Agent) -> None:
+        """Take them from the formation, or from the follower's own."""
+        with unrecorded():
+            own = {key for key in Agent.model_fields if getattr(agent, key) is not None}
+        self.own_keys = frozenset(own)
+        self._formation, self._agent = formation, agent
+
+    def __getattr__(self, key: str) -> Any:  # noqa: ANN401 - of the field
+        """Read a parameter where it is used: what is never read has no effect."""
+        if key not in Agent.model_fields:
+            raise AttributeError(key)
+        return getattr(self._agent if key in self.own_keys else self._formation, key)
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,8 +98,10 @@ class PlannedAircraft:
     @property
     def arduplane(self) -> ArduPlane | None:
         """The section of the ArduPlane that flies it; None: another autopilot, or none."""
+        if not self.has_model:
+            return None
         autopilot = self.section.autopilot
-        return autopilot if self.has_model and isinstance(autopilot, ArduPlane) else None
+        return autopilot if isinstance(autopilot, ArduPlane) else None
 
     @property
     def takes_commands(self) -> bool:
@@ -134,7 +151,14 @@ class FormationPlan(Fleet):
 
     leader: PlannedLeader
     followers: tuple[PlannedFollower, ...]
-    weights: Array  # β (n, N, 3): of the leader, then of each follower
+    all_weights: Array  # β (n, N, 3): of the leader, then of each follower
+    read_weights: Deferred  # the keys that they are made of
+
+    @property
+    def weights(self) -> Array:
+        """β (n, N, 3): of the leader, then of each follower."""
+        self.read_weights.use()
+        return self.all_weights
 
     @property
     def offsets(self) -> Array:
@@ -159,7 +183,7 @@ def resolve_single(flight: SingleAircraft) -> Fleet:
     """
     folder = find_aircraft(flight.only.aircraft)
     alone = PlannedAircraft(**_read_files(0, flight.only, folder, read_params, load_guidance))
-    return Fleet((alone,), NedOrigin(**flight.scenario.origin.model_dump()))
+    return Fleet((alone,), _origin(flight))
 
 
 def resolve(scenario: Scenario) -> FormationPlan:
@@ -172,7 +196,7 @@ def resolve(scenario: Scenario) -> FormationPlan:
     folders = [find_aircraft(each.aircraft) for each in scenario.aircraft]
     probe_airframes(folders)
     readers = cache(read_params), cache(load_guidance)
-    gains = cache(lambda folder: middle_loop_gains(scenario, folder))
+    gains = cache(lambda folder: _read_gains(scenario, folder))
     scripted = not isinstance(scenario.leader.path, Mission)
     files = [
         _read_files(row, section, folder, *readers, is_scripted=scripted and row == 0)
@@ -190,13 +214,26 @@ def resolve(scenario: Scenario) -> FormationPlan:
         )
         for each, own in zip(followers, files[1:], strict=True)
     )
+    with deferred() as read_weights:
+        weights = solve_weights(formation, [each.name for each in followers])
     return FormationPlan(
-        (leader, *planned),
-        NedOrigin(**scenario.scenario.origin.model_dump()),
-        leader,
-        planned,
-        solve_weights(formation, [each.name for each in followers]),
+        (leader, *planned), _origin(scenario), leader, planned, weights, read_weights
     )
+
+
+def _origin(scenario: Scenario | SingleAircraft) -> NedOrigin:
+    origin = scenario.scenario.origin
+    return NedOrigin(origin.latitude_deg, origin.longitude_deg, origin.elevation_m)
+
+
+def _read_gains(scenario: Scenario, folder: Path) -> MiddleLoopGains:
+    """Read the gains of an airframe; a gain that is read is the use of its key."""
+    with unrecorded():
+        gains = middle_loop_gains(scenario, folder)
+    if (reads := current()) is not None:
+        also = [("controller", "profile"), ("controller", "middle_loop")]
+        register_section(reads, gains, [("controller", "gains")], also)
+    return gains
 
 
 def _read_files(
@@ -209,7 +246,10 @@ def _read_files(
     is_scripted: bool = False,
 ) -> dict[str, Any]:
     """Return the fields of `PlannedAircraft`, with what the files contain by their readers."""
-    tune_file = find_tune(folder, section.tune)
+    flies = not is_scripted and section.vehicle == "jsbsim"
+    guided = row == 0 and not is_scripted  # an ideal leader's guidance has parameters of the tune
+    with nullcontext() if flies or guided else unrecorded():
+        tune_file = find_tune(folder, section.tune)
     return {
         "row": row,
         "section": section,
@@ -218,18 +258,15 @@ def _read_files(
         "tune_file": tune_file,
         "params": params(tune_file),
         "guidance": guidance(folder),
-        "has_model": section.vehicle == "jsbsim" and not is_scripted,
-        "is_ideal": section.vehicle == "unicycle" and not is_scripted,
+        "has_model": flies,
+        "is_ideal": not is_scripted and not flies,
         "is_scripted": is_scripted,
     }
 
 
 def agent_parameters(formation: Formation, name: str) -> AgentParameters:
     """Return the parameters of the law for one follower."""
-    agent = formation.agents.get(name, Agent())
-    own = {key for key in Agent.model_fields if getattr(agent, key) is not None}
-    values = {key: getattr(agent if key in own else formation, key) for key in Agent.model_fields}
-    return AgentParameters(**values, own_keys=frozenset(own))
+    return AgentParameters(formation, formation.agents.get(name, Agent()))
 
 
 def solve_weights(formation: Formation, names: Sequence[str]) -> Array:

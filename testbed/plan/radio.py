@@ -16,6 +16,7 @@ from testbed.network.links import Numbers, resolve_links
 from testbed.network.outages import Outages, make_outages, scripted_outcomes
 from testbed.network.radio import ExtraLosses, Radio
 from testbed.network.trace import make_replays, replayed_delays
+from testbed.plan.fleet import FormationPlan
 from testbed.scenario.network import Network
 
 
@@ -58,6 +59,11 @@ def build_radio(
         subscribed[:, 0] = True
     channel = make_channel(pairs, seed, subscribed)
     return Radio(channel, losses, encoding, clocks, links), outages
+
+
+def received_weights(fleet: FormationPlan, network: Network) -> Array:
+    """Return β (n, N, 3), which decides what followers receive where the network says so."""
+    return fleet.weights if network.receive == "neighbours" else fleet.all_weights
 
 
 def transmit_times(

@@ -9,11 +9,12 @@ import importlib.util
 import inspect
 import json
 import pickle
+import re
 import site
 import sys
 import sysconfig
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from importlib.metadata import distributions
 from pathlib import Path
@@ -23,9 +24,10 @@ from urllib.parse import unquote, urlsplit
 
 import numpy as np
 
-from testbed.core.code_digest import UnknownValueError, code_digest
+from testbed.core.code_digest import UnknownValueError, code_digest, names_in_kernel
 from testbed.core.errors import InputError, raise_memory_shortage
 from testbed.core.input_files import read_bounded
+from testbed.core.reads import Deferred, current, unrecorded
 from testbed.core.records import Array, FbwaCommand, Inbox, UnicycleCommand, VehicleState
 from testbed.flight.control import law_file, law_name, user_code_errors, validate_command
 from testbed.formation.compiled_law import (
@@ -36,13 +38,17 @@ from testbed.formation.compiled_law import (
     python_function,
 )
 from testbed.formation.control_step import Hbh23Law
-from testbed.formation.law import FormationConfig, Law
+from testbed.formation.law import OLD_BOUNDS, FormationConfig, Law
 from testbed.scenario import Scenario, code_references, find_code, library, with_values
 from testbed.scenario.fields import KeyPath, is_number
 
 
 def build_law(
-    name: str, options: Mapping[str, Any], config: FormationConfig, hbh23: Hbh23Law
+    name: str,
+    options: Mapping[str, Any],
+    config: FormationConfig,
+    parts: Mapping[str, Deferred],
+    hbh23: Hbh23Law,
 ) -> tuple[Law, str]:
     """Import and construct the law of a scenario's `controller.law`.
 
@@ -51,6 +57,7 @@ def build_law(
             "path/of/file.py:name", of a class or of a function under `@testbed.kernel`.
         options: keyword arguments.
         config: of its followers.
+        parts: what was read for the fields of the configuration.
         hbh23: their law of [HBH23], for one that extends it.
 
     Returns:
@@ -67,6 +74,7 @@ def build_law(
         compiled = is_kernel(found)
     described = _describe(module_name, origin)
     if compiled:
+        _use_named(names_in_kernel(found), config, parts, hbh23)
         law, kept = _build_kernel(found, options, config, hbh23)
         return law, f"{described}{kept}"
     with user_code_errors(origin):
@@ -87,10 +95,46 @@ def build_law(
                     f"controller.law: {law_name} has no method {method} (a law has "
                     "start(own) -> memory and step(now, own, inbox, memory) -> command, memory)"
                 )
-        config = replace(config, hbh23=hbh23)
+        with unrecorded():
+            config = replace(config, hbh23=hbh23)
+        if (reads := current()) is not None:
+            reads.register_parts(config, parts)
+            # also what it reads only in states that no check meets
+            _use_named(_names_in_file(origin), config, parts, None)
         _check_options(law_name, found, (config,), options)
         make = cast(Callable[..., Law], found)
         return make(config, **options), described
+
+
+def _use_named(
+    names: Collection[str],
+    config: FormationConfig,
+    parts: Mapping[str, Deferred],
+    hbh23: Hbh23Law | None,
+) -> None:
+    """Count as used what a law's code names; a kernel also uses the built-in law by name.
+
+    Raises:
+        InputError: a kernel names bounds that have another meaning in this flight.
+    """
+    used = [parts[name] for name in names if name in parts]
+    if "ground_speed_bounds" in names:
+        used += [part for name, part in parts.items() if "speed_m" in name]
+    if hbh23 is not None:
+        used += hbh23.velocity_reads if "command_from_velocity" in names else ()
+        used += hbh23.step_reads if "hbh23" in names else ()
+        for name in ("speed_min", "speed_max"):
+            if name in names and not config.bounds_ground_speed:
+                raise InputError(f"controller.law: config.{name} {OLD_BOUNDS}")
+    for each in used:
+        each.use()
+
+
+def _names_in_file(origin: str) -> set[str]:
+    """Return the words of a law's file; none if it cannot be read as text."""
+    with suppress(OSError, UnicodeDecodeError):
+        return set(re.findall(r"\w+", Path(origin).read_text(encoding="utf-8")))
+    return set()
 
 
 def _is_law_of(module: ModuleType, found: object) -> bool:
@@ -379,7 +423,7 @@ def _check_values(law: Law, config: FormationConfig) -> None:
     for name in ("speed", "speed_desired") if unicycle else ():
         speeds = np.median([getattr(each, name) for each in unicycle], axis=0)
         for row, speed in enumerate(speeds):
-            low, high = config.speed_min[row], config.speed_max[row]
+            low, high = config.airspeed_min[row], config.airspeed_max[row]
             if not low / SPEED_FACTOR <= speed <= high * SPEED_FACTOR:
                 _reject(
                     law,
@@ -435,7 +479,8 @@ def _check_interleaved(
 
 def _attributes(law: Law) -> dict[str, bytes]:
     """Return the attributes of a law as bytes; those that cannot be pickled are left out."""
-    found = {name: _pickled(value) for name, value in getattr(law, "__dict__", {}).items()}
+    with unrecorded():  # pickling reads all fields, which is no use of them
+        found = {name: _pickled(value) for name, value in getattr(law, "__dict__", {}).items()}
     return {name: value for name, value in found.items() if value}
 
 

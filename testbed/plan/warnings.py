@@ -138,7 +138,7 @@ def _findings(
 ) -> Iterator[Finding]:
     config, law = built.config, built.controllers["law"]
     kappa = fleet.of_followers(lambda each: each.agent.kappa_mps)
-    yield from check_kappa(kappa, config.speed_min, config.speed_max)
+    yield from check_kappa(kappa, config.airspeed_min, config.airspeed_max)
     if built.builtin:
         bound = law["mu"]["bound"]
         fixed = [each.agent.speed_desired_mps is not None for each in fleet.followers]
@@ -162,8 +162,8 @@ def _findings(
         slowest,
         fastest,
         kappa,
-        config.speed_min,
-        config.speed_max,
+        config.airspeed_min,
+        config.airspeed_max,
         possible=possible,
         medium="through the air" if of_airspeed else "over the ground",
         in_air=in_air,

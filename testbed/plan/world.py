@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import platform
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from testbed.atmosphere.air import Atmosphere
 from testbed.atmosphere.mean_wind import MeanWind
 from testbed.core.compile import registered, registering
 from testbed.core.random import named_stream
+from testbed.core.reads import unrecorded
 from testbed.core.records import (
     AIRCRAFT,
     COMMAND,
@@ -33,6 +35,7 @@ from testbed.flight.limits import ProximityMonitor
 from testbed.flight.loop import Flight
 from testbed.flight.schedule import Clock, make_clock
 from testbed.flight.world import BuiltControl, FormationParts, LeaderSetup, World
+from testbed.formation.law import FormationConfig
 from testbed.plan.air import (
     build_air,
     build_mean_wind,
@@ -49,7 +52,7 @@ from testbed.plan.faults import build_faults, build_membership, fault_warnings
 from testbed.plan.fleet import Fleet, FormationPlan, resolve, resolve_single
 from testbed.plan.leader import build_leader
 from testbed.plan.limits import build_envelope_monitor, build_proximity, separation_warnings
-from testbed.plan.radio import build_radio, transmit_times
+from testbed.plan.radio import build_radio, received_weights, transmit_times
 from testbed.plan.resources import check_memory
 from testbed.plan.user_code import with_stored_code
 from testbed.plan.vehicles import (
@@ -71,7 +74,9 @@ from testbed.plan.warnings import (
     tune_warnings,
     unusual_warnings,
 )
-from testbed.scenario import SCHEMA_VERSION, Scenario, SingleAircraft, dump
+from testbed.scenario import SCHEMA_VERSION, Scenario, ScenarioError, SingleAircraft, dump
+from testbed.scenario.sections import Rates
+from testbed.scenario.set_keys import KeyUse, read_all, recorded_reads, unused_keys
 from testbed.sensors.estimators import StateEstimators
 from testbed.vehicle.environment import describe_integrators
 from testbed.vehicle.fleet import LOWEST, FlightModels
@@ -95,7 +100,9 @@ class RowRecords(NamedTuple):
     commands: Records
 
 
-@registering()
+Unused = Literal["refuse", "list"]
+
+
 def build(
     scenario: Scenario,
     *,
@@ -104,6 +111,7 @@ def build(
     records: RowRecords | None = None,
     arduplane: Path | None = None,
     processes: int | None = 1,
+    unused: Unused = "refuse",
 ) -> World:
     """Build the world of a scenario.
 
@@ -116,13 +124,41 @@ def build(
         arduplane: the program for `autopilot: ardupilot` where the scenario names none; None: that
             of the environment.
         processes: that step JSBSim models; None: as many as are fastest on this machine.
+        unused: what to do with keys that the user has set and that no part of the flight uses.
 
     Raises:
-        ScenarioError, ParamError, AircraftError, TrimError, ValueError: something cannot be built;
-            the message has what to write instead.
+        ScenarioError, ParamError, AircraftError, TrimError, ValueError: something cannot be built,
+            or a key has no effect; the message has what to write instead.
     """
+    with recorded_reads(scenario, (FormationConfig,)) as reads:
+        world = _build(scenario, commanded, in_process, records, arduplane, processes)
+    found = unused_keys(scenario, scenario.set_keys, reads)
+    use = KeyUse()
+    use.add(scenario.set_keys, found)
+    if use.refused and unused == "refuse":
+        raise ScenarioError([each.problem for each in use.refused])
+    events = (Event(0.0, "warning", "run", str(each.problem)) for each in use.warned)
+    return replace(
+        world,
+        initial_events=(*world.initial_events, *events),
+        unused=tuple(found),
+        consumers=reads.found,
+    )
+
+
+@registering()
+def _build(
+    scenario: Scenario,
+    commanded: bool,
+    in_process: bool,
+    records: RowRecords | None,
+    arduplane: Path | None,
+    processes: int | None,
+) -> World:
+    """Build the world of a scenario; see `build`."""
     clock = build_clock(scenario)
-    check_memory(scenario)
+    with unrecorded():
+        check_memory(scenario)
     fleet = resolve(scenario)
     names, origin, rates = fleet.names, fleet.origin, scenario.rates
     seed, duration_s = scenario.scenario.seed, scenario.scenario.duration_s
@@ -157,7 +193,7 @@ def build(
         clock,
         aircraft,
         controller=scenario.controller,
-        leader_pole=scenario.formation.speed_pole_per_s,
+        leader_pole=scenario.formation.speed_pole_per_s if fleet.leader.is_ideal else 0.0,
         warmer=warmer,
         arduplane=arduplane,
         processes=processes,
@@ -165,9 +201,14 @@ def build(
     )
     jsbsim, on_failure = vehicles.jsbsim, scenario.formation.on_failure
     control = build_control(fleet, scenario.controller, clock)
-    radio, outages = build_radio(names, scenario.network, fleet.weights, origin, seed, links)
+    radio, outages = build_radio(
+        names, scenario.network, received_weights(fleet, scenario.network), origin, seed, links
+    )
     faults = build_faults(fleet, vehicles.fleet, on_failure.declared_after_s)
     external, array = None, None
+    for each in fleet.aircraft:
+        if each.takes_commands:  # how they come is not known before the flight
+            read_all(each.section.commanded_by)
     if in_process:
         array = build_array_commands(fleet, jsbsim, commands)
     elif commanded or any(each.commanded_by.kind == "external" for each in scenario.aircraft):
@@ -179,10 +220,31 @@ def build(
         if not air.steady:
             other_air = _build_air(scenario, fleet, mean_wind, height, clock, other)
             other_air.bind(aircraft.copy())
-        other_radio, _ = build_radio(names, scenario.network, fleet.weights, origin, other)
+        other_radio, _ = build_radio(
+            names, scenario.network, received_weights(fleet, scenario.network), origin, other
+        )
         return other_air, _build_estimators(scenario, other, faults), other_radio
 
     companions = build_companions(scenario.controller.companion, clock, aircraft)
+    with unrecorded():
+        events = (
+            *(Event(0.0, "info", "run", text) for text in control.messages),
+            *engine_notes(vehicles.fleet),
+            *gust_input_warnings(fleet, vehicles.fleet, steady_air=air.steady),
+            *airframe_notes(fleet),
+            *still_field_warnings(scenario.air),
+            *temperature_warnings(fleet, warmer, height),
+            *unusual_warnings(scenario),
+            *fault_warnings(fleet, on_failure),
+            *step_warnings(fleet, rates, vehicles.fleet),
+            *limit_warnings(fleet),
+            *tune_warnings(fleet),
+            *sitl_gyro_warnings(fleet, rates.physics_hz),
+            *leader_warnings(fleet, control.config, leader, duration_s, wind),
+            *sensor_warnings(fleet, rates.autopilot_hz),
+            *separation_warnings(fleet, scenario.limits),
+            *assumption_warnings(scenario, fleet, control, leader, wind),
+        )
     return World(
         clock=clock,
         duration_s=duration_s,
@@ -205,6 +267,7 @@ def build(
                 build_membership(fleet, on_failure, scenario.controller.law, faults),
                 (aircraft, followers, radio.links),
                 companions,
+                extrapolates=control.extrapolates,
             ),
             companions=companions,
             radio=radio,
@@ -224,24 +287,7 @@ def build(
         fly_on=scenario.limits.on_loss == "continue",
         external_control=external,
         array_commands=array,
-        initial_events=(
-            *(Event(0.0, "info", "run", text) for text in control.messages),
-            *engine_notes(vehicles.fleet),
-            *gust_input_warnings(fleet, vehicles.fleet, steady_air=air.steady),
-            *airframe_notes(fleet),
-            *still_field_warnings(scenario.air),
-            *temperature_warnings(fleet, warmer, height),
-            *unusual_warnings(scenario),
-            *fault_warnings(fleet, on_failure),
-            *step_warnings(fleet, rates, vehicles.fleet),
-            *limit_warnings(fleet),
-            *tune_warnings(fleet),
-            *sitl_gyro_warnings(fleet, rates.physics_hz),
-            *leader_warnings(fleet, control.config, leader, duration_s, wind),
-            *sensor_warnings(fleet, rates.autopilot_hz),
-            *separation_warnings(fleet, scenario.limits),
-            *assumption_warnings(scenario, fleet, control, leader, wind),
-        ),
+        initial_events=events,
         info=_formation_info(
             scenario,
             fleet,
@@ -334,7 +380,7 @@ def build_single(flight: SingleAircraft) -> World:
 
 def build_clock(scenario: Scenario | SingleAircraft) -> Clock:
     """Build the clock of a scenario, with random phases of unsynchronised aircraft."""
-    rates = scenario.rates.model_dump()
+    rates = {name: getattr(scenario.rates, name) for name in Rates.model_fields}
     synchronous = rates.pop("synchronous")
     names, seed = [each.name for each in scenario.aircraft], scenario.scenario.seed
     phases = None
@@ -435,11 +481,13 @@ def _formation_info(
     models: FlightModels | None,
 ) -> RunInfo:
     """Describe the run of a formation for its observers; see `_run_info`."""
-    stored, code = with_stored_code(scenario)
+    with unrecorded():
+        stored, code = with_stored_code(scenario)
+        text = dump(stored)
     agents = [each.agent for each in fleet.followers]
     return RunInfo(
         **_run_info(scenario, fleet, clock, exact=exact, models=models),
-        scenario_yaml=dump(stored),
+        scenario_yaml=text,
         code=code,
         speed_bounds_mps=tuple(each.speed_mps for each in agents),
         bounded_in_ned=wind if scenario.controller.bounded_speed == "airspeed" else STILL,

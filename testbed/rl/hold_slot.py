@@ -6,6 +6,7 @@ from typing import Any
 
 import gymnasium
 
+from testbed.core.errors import InputError
 from testbed.rl.episodes import (
     OWN,
     Episodes,
@@ -17,6 +18,7 @@ from testbed.rl.episodes import (
 from testbed.runs.simulation import Simulation
 from testbed.scenario.aircraft import AircraftSection
 from testbed.scenario.arguments import check_argument
+from testbed.scenario.validate import shown_value
 
 
 class HoldSlotEnv(gymnasium.Env[Any, Any]):
@@ -82,7 +84,7 @@ class HoldSlotEnv(gymnasium.Env[Any, Any]):
 
         Args:
             seed: of the simulation and of the values that are drawn; None: the next ones.
-            options: none has an effect.
+            options: there are none; leave it out.
 
         Returns:
             The observation; info, with `seed` that of the simulation.
@@ -90,6 +92,8 @@ class HoldSlotEnv(gymnasium.Env[Any, Any]):
         Raises:
             InputError: an argument is wrong. The present episode then goes on.
         """
+        if options:
+            raise InputError(f"options: is {shown_value(options)} (leave it out: there are none)")
         generator = self._episodes.begin_with(seed, options, self.np_random)
         if seed is not None:
             super().reset(seed=int(seed))

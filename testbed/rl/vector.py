@@ -38,6 +38,7 @@ from testbed.scenario.sections import Header
 from testbed.scenario.validate import shown_value
 
 Info = dict[str, Any]
+_MASK = "reset_mask"  # of Gymnasium's vector environments
 _MODES = {each.value: each for each in AutoresetMode if each is not AutoresetMode.DISABLED}
 
 
@@ -148,27 +149,65 @@ class VectorEpisodes(VectorEnv[Any, Any, Any]):
         Args:
             seed: of the seeds of the flights, and of the choice of their starts; None: the next
                 ones.
-            options: none has an effect.
+            options: `reset_mask` (num_envs,) of the environments that begin anew, all followers of
+                a flight or none; the others go on. None: all begin.
 
         Returns:
             Observations (num_envs, c); infos, with `seed` and `start` of each flight.
 
         Raises:
-            InputError: an argument is wrong.
+            InputError: an argument is wrong, or the environment is closed. The episodes then go on
+                as if there had been no call.
+            NoEpisodeError: some are to go on, and there is no episode yet.
         """
-        if options is not None and not isinstance(options, dict):
-            raise InputError(f"options: is {shown_value(options)} (leave it out)")
+        self._refuse_closed()
+        chosen = self._flights_to_begin(options)
         if seed is not None:
             checked = check_argument("seed", seed, Header, "seed")
             self._np_random, self._np_random_seed = seeding.np_random(checked)
         flights, m = self._flights, len(self.followers)
-        self._steps = np.zeros(flights, dtype=np.int64)
-        self._actions = np.zeros((flights, m, len(ACTIONS)), np.float32)
-        self._sums = np.zeros((2, flights, m))  # of errors and of their squares
-        self._over = np.zeros(flights, dtype=bool)
-        self._begun = True
-        self._begin(np.arange(flights))
+        if not self._begun:
+            self._steps = np.zeros(flights, dtype=np.int64)
+            self._actions = np.zeros((flights, m, len(ACTIONS)), np.float32)
+            self._sums = np.zeros((2, flights, m))  # of errors and of their squares
+            self._over = np.zeros(flights, dtype=bool)
+            self._begun = True
+        self._over[chosen] = False
+        self._begin(chosen)
         return self._observe(), self._info(self._errors())
+
+    def _refuse_closed(self) -> None:
+        if self.closed:
+            raise InputError("the environment is closed (make another one)")
+
+    def _flights_to_begin(self, options: object) -> NDArray[np.intp]:
+        """Return the flights that a reset begins anew.
+
+        Raises:
+            InputError, NoEpisodeError: see `reset`.
+        """
+        if options is None or options == {}:
+            return np.arange(self._flights)
+        if not isinstance(options, dict) or set(options) != {_MASK}:
+            raise InputError(
+                f"options: is {shown_value(options)} (write {_MASK}, an array of true and false, "
+                "or leave it out)"
+            )
+        mask = np.asarray(options[_MASK])
+        if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
+            raise InputError(
+                f"options: {_MASK}: is {shown_value(options[_MASK])} (write {self.num_envs} times "
+                "true or false, one of them true)"
+            )
+        of_flights = mask.reshape(self._flights, -1)
+        if (of_flights.any(axis=1) != of_flights.all(axis=1)).any():
+            raise InputError(
+                f"options: {_MASK}: the {len(self.followers)} followers of a flight begin together "
+                "(write true for all of them, or for none)"
+            )
+        if not (self._begun or mask.all()):
+            raise NoEpisodeError("there is no episode yet that could go on: call reset() first")
+        return np.flatnonzero(of_flights.any(axis=1))
 
     def _begin(self, flights: NDArray[np.intp]) -> None:
         """Begin episodes of some flights, at starts that do not fly now."""
@@ -200,10 +239,11 @@ class VectorEpisodes(VectorEnv[Any, Any, Any]):
             end.
 
         Raises:
-            InputError: the actions are not numbers of this shape. The episodes then go on as if
-                there had been no call.
+            InputError: the actions are not numbers of this shape, or the environment is closed. The
+                episodes then go on as if there had been no call.
             NoEpisodeError: there is no episode yet.
         """
+        self._refuse_closed()
         if not self._begun:
             raise NoEpisodeError("there is no episode yet: call reset()")
         shape = self._actions.shape

@@ -36,11 +36,12 @@ from testbed.plan.world import RowRecords, build
 from testbed.runs.command_ranges import RANGES, wrong_part
 from testbed.runs.progress import Progress, compiling_report, reporting_progress
 from testbed.runs.simulation import EventCollector, flight_metrics
-from testbed.scenario import Scenario, find_loaded, set_seed
+from testbed.scenario import Scenario, ScenarioError, find_loaded, set_seed
 from testbed.scenario.aircraft import ArduPlane
 from testbed.scenario.arguments import check_argument, check_count, check_overrides
 from testbed.scenario.fields import MAX_DURATION_S
 from testbed.scenario.sections import Header
+from testbed.scenario.set_keys import KeyUse
 from testbed.scenario.validate import shown_value
 
 Flown: TypeAlias = "Scenario | str | os.PathLike[str]"
@@ -117,11 +118,20 @@ class Batch:
             reporting(compiling_report(report)),
         ):
             self._rows = [self._build(row) for row in range(size)]
+        self._refuse_unused()
         self.times_s: Array = self._places["now"]
         self._commanded = np.array([each.commanded for each in self._rows])
 
     def _build(self, row: int) -> _Row:
         return _Row(self.scenario(row), *self._records[row])
+
+    def _refuse_unused(self) -> None:
+        """Refuse keys that have no effect in any row that sets them."""
+        use = KeyUse()
+        for scenario, row in zip(self._scenarios, self._rows, strict=True):
+            use.add(scenario.set_keys, row.unused)
+        if use.refused:
+            raise ScenarioError([each.problem for each in use.refused])
 
     def __len__(self) -> int:
         """Return the number of rows."""
@@ -269,7 +279,8 @@ class _Row:
     def __init__(self, scenario: Scenario, records: RowRecords, place: Records) -> None:
         self._expect = scenario.expect
         self.outcome: str | None = None
-        self._world = world = build(scenario, in_process=True, records=records)
+        self._world = world = build(scenario, in_process=True, records=records, unused="list")
+        self.unused = world.unused
         self._meter, self.events = MetricsObserver(published=scenario.published), EventCollector()
         self._flight = Flight(world, (self._meter, self.events), place=place)
         self._flight.compile()

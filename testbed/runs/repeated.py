@@ -7,6 +7,7 @@ from testbed.runs.batch import Batch
 from testbed.runs.run import run
 from testbed.scenario import Scenario, code_references, set_seed
 from testbed.scenario.aircraft import ByFormation, VirtualAutopilot
+from testbed.scenario.set_keys import SetKeys
 
 
 class RepeatedFlights:
@@ -30,6 +31,7 @@ class RepeatedFlights:
             InputError, ExternalProgramLost: see `testbed.run`.
         """
         kept, self._kept = self._kept, None
+        scenario = scenario.with_set_keys(SetKeys())  # they are those of all flights together
         if not _is_in_process(scenario):
             return run(scenario, write=False, progress=False).metrics, True
         seed = scenario.scenario.seed

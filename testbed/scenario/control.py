@@ -37,6 +37,8 @@ from testbed.scenario.fields import (
 from testbed.scenario.middle_loop import EstimatorChanges, GainChanges
 from testbed.scenario.reference_fields import CODE, GainsReference
 
+BUILT_IN = "hbh23"  # the law of the paper
+
 
 def _law_name(value: str) -> str:
     """Accept hbh23 and module:Class."""
@@ -319,10 +321,11 @@ class Controller(Section):
         EstimatorChanges(),
         description="Estimates from received messages; keys that are left out are the profile's.",
     )
-    extrapolate_from: Literal["receipt", "timestamp"] = Field(
-        "receipt",
+    extrapolate_from: Literal["receipt", "timestamp"] | None = Field(
+        None,
         description="Time from which a message is extrapolated: timestamp compensates latency and "
-        "needs synchronised clocks.",
+        "needs synchronised clocks; by default receipt with hbh23, and a law of your own receives "
+        "messages as they are.",
     )
     throttle_error: Literal["ground_speed", "airspeed"] = Field(
         "ground_speed",

@@ -25,6 +25,7 @@ from testbed.scenario.problems import (
 )
 from testbed.scenario.references import resolve_references
 from testbed.scenario.schema import Scenario, set_duration, set_seed
+from testbed.scenario.set_keys import find_set_keys
 from testbed.scenario.single_aircraft import SingleAircraft
 from testbed.scenario.validate import validate
 from testbed.scenario.yaml_io import (
@@ -303,7 +304,14 @@ def _resolve(tree: Node, overrides: Sequence[str], settings_folder: Path | None 
         _check_begin(scenario, tree)
     except ScenarioError as error:
         raise ScenarioError(merge_repeated(error.problems)) from None
-    return _with_differences(scenario, unchanged, settings)
+    scenario = _with_differences(scenario, unchanged, settings)
+    return scenario.with_set_keys(
+        find_set_keys(tree, unchanged, settings, in_library=_in_library(unchanged))
+    )
+
+
+def _in_library(tree: Node) -> bool:
+    return Path(tree.place.source).resolve().parent == references.library() / "scenarios"
 
 
 def _with_differences(scenario: Scenario, tree: Node, settings: Sequence[Setting]) -> Scenario:

@@ -16,6 +16,7 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
 from testbed.core.ranges import DELAY
+from testbed.core.reads import derive, unrecorded
 from testbed.scenario.fields import (
     MAX_DISTANCE_M,
     SMALLEST,
@@ -406,10 +407,16 @@ class Network(Link):
     def link(self, source: str, destination: str) -> Link:
         """Return the resolved link between two aircraft; keys not set are None."""
         keys: dict[str, Any] = {}
-        for entry in (self, *self.entries(source, destination)):
-            values = ((name, getattr(entry, name)) for name in Link.model_fields)
-            keys |= {name: value for name, value in values if value is not None}
-        return Link.model_construct(**(dict.fromkeys(Link.model_fields) | keys))
+        sources: dict[str, list[tuple[object, str]]] = {}
+        with unrecorded():
+            for entry in (self, *self.entries(source, destination)):
+                for name in Link.model_fields:
+                    value = getattr(entry, name)
+                    if value is not None:
+                        keys[name], sources[name] = value, [(entry, name)]
+        link = Link.model_construct(**(dict.fromkeys(Link.model_fields) | keys))
+        derive(link, sources)
+        return link
 
     def entries(self, source: str, destination: str) -> tuple[Link, ...]:
         """Return the entries of `links` for a link; a later one takes precedence."""

@@ -3,16 +3,18 @@
 from collections.abc import Mapping
 from typing import Any, Self, TypeVar
 
-from pydantic import ValidationError, model_validator
+from pydantic import PrivateAttr, ValidationError, model_validator
 
 from testbed.core.errors import InputError
 from testbed.scenario.arguments import check_argument, with_changes
 from testbed.scenario.checks import cross_check
+from testbed.scenario.control import BUILT_IN
 from testbed.scenario.expect import without_windows
 from testbed.scenario.fields import raise_findings
 from testbed.scenario.network import Window
 from testbed.scenario.pattern import Pattern
 from testbed.scenario.sections import Header, Sections
+from testbed.scenario.set_keys import SetKeys
 from testbed.scenario.single_aircraft import SingleAircraft
 
 SCHEMA_VERSION = 2
@@ -22,19 +24,35 @@ SECOND_HALF = "second_half"  # window of a flight that reaches no other one
 class Scenario(Sections):
     """A scenario: everything that determines the numbers of a run."""
 
+    _set_keys: SetKeys = PrivateAttr(SetKeys())
+
+    @property
+    def set_keys(self) -> SetKeys:
+        """The keys that the user has set; none where it is not known."""
+        return self._set_keys
+
+    def with_set_keys(self, keys: SetKeys) -> Self:
+        """Return the scenario with these as the keys that the user has set."""
+        copy = self.model_copy()
+        copy._set_keys = keys
+        return copy
+
     @model_validator(mode="before")
     @classmethod
-    def _resolve_bounded_speed(cls, data: Any) -> Any:  # noqa: ANN401 - any YAML value
-        """Write what the speed bounds apply to, where the controller leaves it open."""
+    def _resolve_controller(cls, data: Any) -> Any:  # noqa: ANN401 - any YAML value
+        """Write what the controller leaves open: bounded speed, and origin of extrapolation."""
         if not isinstance(data, Mapping):
             return data
         controller, air = data.get("controller", {}), data.get("air")
-        if not isinstance(controller, Mapping) or controller.get("bounded_speed") is not None:
+        if not isinstance(controller, Mapping):
             return data
         wind = air.get("wind") if isinstance(air, Mapping) else None
         blows = isinstance(wind, Mapping) and (wind.get("speed_mps") or wind.get("file"))
-        chosen = "airspeed" if blows else "ground_speed"
-        return {**data, "controller": {**controller, "bounded_speed": chosen}}
+        chosen = {"bounded_speed": "airspeed" if blows else "ground_speed"}
+        if controller.get("law", BUILT_IN) == BUILT_IN:
+            chosen["extrapolate_from"] = "receipt"
+        chosen = {key: word for key, word in chosen.items() if controller.get(key) is None}
+        return {**data, "controller": {**controller, **chosen}} if chosen else data
 
     @model_validator(mode="after")
     def _cross_check(self) -> Self:
@@ -83,12 +101,15 @@ def set_duration(scenario: Scenario, duration_s: float) -> Scenario:
     if windows and not header["windows"]:
         start_s = begin.at_s if begin else 0.0
         header["windows"] = {SECOND_HALF: ((start_s + duration_s) / 2.0, duration_s)}
-    for aircraft in (data["leader"], *data["fleet"]):
-        aircraft["faults"] = [
-            fault for fault in aircraft["faults"] if (fault["at_s"] or 0) <= duration_s
-        ]
+    paths = [("leader",), *(("fleet", str(index)) for index in range(len(data["fleet"])))]
+    dropped = {}
+    for path, aircraft in zip(paths, (data["leader"], *data["fleet"]), strict=True):
+        late = [k for k, one in enumerate(aircraft["faults"]) if (one["at_s"] or 0) > duration_s]
+        aircraft["faults"] = [one for k, one in enumerate(aircraft["faults"]) if k not in late]
+        dropped[(*path, "faults")] = late
     try:
-        return Scenario.model_validate(data)
+        changed = Scenario.model_validate(data)
+        return changed.with_set_keys(scenario.set_keys.without_faults(dropped))
     except ValidationError as error:
         reason = error.errors()[0]["msg"].removeprefix("Value error, ")
         raise InputError(f"duration_s: {duration_s:g} s: {reason}") from None
@@ -101,7 +122,10 @@ def set_seed(scenario: FlightT, seed: int) -> FlightT:
         InputError: it is not a whole number from 0 to 2^63 - 1.
     """
     seed = check_argument("seed", seed, Header, "seed")
-    return with_changes(scenario, scenario=with_changes(scenario.scenario, seed=seed))
+    changed = with_changes(scenario, scenario=with_changes(scenario.scenario, seed=seed))
+    if isinstance(changed, Scenario) and isinstance(scenario, Scenario):
+        return changed.with_set_keys(scenario.set_keys)
+    return changed
 
 
 def unreached_windows(scenario: Scenario, duration_s: float) -> dict[str, str]:

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from contextlib import AbstractContextManager, nullcontext
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from testbed.core.compile import entry, jitable, kernel
 from testbed.core.copies import copy_motion
 from testbed.core.frames import GRAVITY, rotation_rows
 from testbed.core.random import NormalNumbers, Streams, named_stream
+from testbed.core.reads import unrecorded
 from testbed.core.records import Array, Indices, Record, Records, allocate
 from testbed.scenario.sensors import Sensors
 
@@ -161,26 +163,32 @@ def make_noise_parameters(sensors: Sequence[Sensors], dt: float) -> NoiseParamet
     for row, each in enumerate(sensors):
         s, t = sigma[row], tau[row]
         if (gps := each.gps) is not None:
-            s["gps_shared"] = _axes(gps.shared_drift_m)
-            t["gps_shared"] = gps.shared_time_constant_s
-            s["gps_own"], t["gps_own"] = _axes(gps.own_drift_m), gps.own_time_constant_s
+            s["gps_shared"], s["gps_own"] = _axes(gps.shared_drift_m), _axes(gps.own_drift_m)
+            with _if_any(s["gps_shared"]):
+                t["gps_shared"] = gps.shared_time_constant_s
+            with _if_any(s["gps_own"]):
+                t["gps_own"] = gps.own_time_constant_s
             s["gps_noise"] = _axes(gps.noise_m)
             s["gps_velocity_noise"] = _axes(gps.velocity_noise_mps)
         if (barometer := each.barometer) is not None:
             s["barometer_shared"] = barometer.shared_drift_m
-            t["barometer_shared"] = barometer.shared_time_constant_s
             s["barometer_own"] = barometer.own_drift_m
-            t["barometer_own"] = barometer.own_time_constant_s
+            with _if_any(s["barometer_shared"]):
+                t["barometer_shared"] = barometer.shared_time_constant_s
+            with _if_any(s["barometer_own"]):
+                t["barometer_own"] = barometer.own_time_constant_s
             s["barometer_noise"] = barometer.noise_m
         if (airspeed := each.airspeed) is not None:
             s["pressure_noise"] = airspeed.noise_pa
         if (gyro := each.gyro) is not None:
             s["gyro_bias"] = math.radians(gyro.bias_dps)
-            t["gyro_bias"] = gyro.bias_time_constant_s
+            with _if_any(s["gyro_bias"]):
+                t["gyro_bias"] = gyro.bias_time_constant_s
             s["gyro_noise"] = math.radians(gyro.noise_dps_rthz) / math.sqrt(dt)
         if (accelerometer := each.accelerometer) is not None:
             s["accelerometer_bias"] = accelerometer.bias_mps2
-            t["accelerometer_bias"] = accelerometer.bias_time_constant_s
+            with _if_any(s["accelerometer_bias"]):
+                t["accelerometer_bias"] = accelerometer.bias_time_constant_s
             s["accelerometer_noise"] = accelerometer.noise_mps2_rthz / math.sqrt(dt)
         if (magnetometer := each.magnetometer) is not None:
             s["heading_noise"] = math.radians(magnetometer.noise_deg)
@@ -201,6 +209,11 @@ def make_constant_biases(
             offset_deg = magnetometer.offset_deg + magnetometer.offset_sigma_deg * heading
             out.heading[row] = math.radians(offset_deg)
     return out
+
+
+def _if_any(sigma: Array) -> AbstractContextManager[None]:
+    """Return a context in which the time constant of an error counts as read if there is any."""
+    return nullcontext() if np.any(sigma) else unrecorded()
 
 
 def _axes(pair: tuple[float, float]) -> tuple[float, float, float]:
@@ -227,7 +240,9 @@ def make_jitter(
         seed: of the run.
         dt: s, step.
     """
-    parts = [(each.position, each.velocity, each.attitude) for each in sensors]
+    parts: list[tuple[Any, ...]] = [
+        (each.position, each.velocity, each.attitude) for each in sensors
+    ]
     sigma = np.array(
         [
             (position.sigma_m, velocity.sigma_mps, math.radians(attitude.sigma_deg))
@@ -236,7 +251,11 @@ def make_jitter(
     )
     if not sigma.any():
         return None
-    tau = np.array([[each.time_constant_s for each in row] for row in parts])
+    tau = np.ones_like(sigma)
+    for row, sections in enumerate(parts):
+        for column, section in enumerate(sections):
+            with _if_any(sigma[row, column]):
+                tau[row, column] = section.time_constant_s
     own = [[(named_stream(seed, f"sensors/{name}"), JITTER_COUNT)] for name in names]
     parameters = NoiseParameters(*(np.repeat(each, 3, axis=1) for each in (sigma, tau)))
     return GaussMarkovErrors(parameters, dt, own)

@@ -7,12 +7,14 @@ accelerometer or magnetometer in the scenario flies on a navigation filter; othe
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
 
 from testbed.core.call_list import Call, Step
 from testbed.core.frames import rotation_ned_body
+from testbed.core.reads import unrecorded
 from testbed.core.records import AIRCRAFT, Array, Records, allocate
 from testbed.scenario.sensors import Sensors
 from testbed.sensors.airspeed import make_airspeed_sensors
@@ -182,7 +184,9 @@ def make_settings(sensors: Sequence[Sensors], rate_hz: int) -> Records:
     )
     horizontal, velocity = column("gps_position_noise_m"), column("gps_velocity_noise_mps")
     gps_height = np.array([one.height_source == "gps" for one in estimators], dtype=bool)
-    height = np.where(gps_height, GPS_HEIGHT_NOISE * horizontal, column("barometer_noise_m"))
+    with unrecorded() if gps_height.all() else nullcontext():
+        barometer = column("barometer_noise_m")
+    height = np.where(gps_height, GPS_HEIGHT_NOISE * horizontal, barometer)
     settings = allocate(SETTINGS, len(sensors))
     settings["row"] = np.arange(len(sensors))
     process = EKF3_STEP_S * np.stack(noises, axis=1) ** 2

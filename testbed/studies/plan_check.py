@@ -10,8 +10,10 @@ from testbed.core.errors import InputError
 from testbed.metrics.names import run_numbers
 from testbed.plan.code_check import check_code, code_names
 from testbed.plan.scenario_files import Referent, referents
+from testbed.plan.world import build
 from testbed.scenario import Scenario, place_of_key
-from testbed.scenario.problems import Problem, ScenarioError, did_you_mean
+from testbed.scenario.problems import Problem, ScenarioError, did_you_mean, merge_repeated
+from testbed.scenario.set_keys import KeyUse
 from testbed.scenario.yaml_io import walk
 from testbed.studies.journal import flatten_metrics
 from testbed.studies.plan import Plan, Study, StudyRun
@@ -19,6 +21,7 @@ from testbed.studies.predicted_numbers import predicted_names
 from testbed.studies.study_schema import Value
 
 MAX_CHECKED = 2_000  # scenarios read before a study is flown; each takes some milliseconds
+MAX_BUILT = 100  # flights that are built to see which keys act; mostly the first shows all
 MAX_NAMED = 6  # names in an error
 _EXAMPLES = (".mean_rms_m", "min_separation_m")  # ends of names that are offered
 
@@ -34,6 +37,7 @@ class CheckedPlan:
         checked: number of scenarios read.
         invalid: number of them that cannot be flown.
         example: why, for the first.
+        without_effect: keys that act in some flights only.
     """
 
     scenarios: Mapping[str, Scenario]
@@ -41,6 +45,7 @@ class CheckedPlan:
     checked: int
     invalid: int
     example: str
+    without_effect: tuple[str, ...] = ()
 
 
 def check_plan(plan: Plan) -> CheckedPlan:
@@ -90,7 +95,8 @@ def check_plan(plan: Plan) -> CheckedPlan:
     metrics = [(("study", "metrics", k), name) for k, name in enumerate(settings.metrics)]
     flown.check_metrics([*metrics, *settings.deciding_metrics])
     flown.check_code()
-    return CheckedPlan(scenarios, tuple(named), checked, invalid, example)
+    keys = tuple(flown.check_keys())
+    return CheckedPlan(scenarios, tuple(named), checked, invalid, example, keys)
 
 
 class FlownScenarios:
@@ -101,12 +107,41 @@ class FlownScenarios:
         self._plan = plan
         self._codes: dict[tuple[str, ...], tuple[StudyRun, Scenario]] = {}
         self._shapes: dict[object, Scenario] = {}
+        self._use, self._built = KeyUse(), 0
+        self._runs: dict[object, StudyRun] = {}  # by place of a key
 
     def add(self, run: StudyRun, scenario: Scenario) -> None:
         """Add the scenario of a run."""
         if names := code_names(scenario):
             self._codes.setdefault((run.case, *names), (run, scenario))
         self._shapes.setdefault(_shape(scenario), scenario)
+        if self._built < MAX_BUILT and self._use.is_new(scenario.set_keys):
+            self._built += 1
+            with suppress(InputError):  # the row of the run has the error
+                unused = build(scenario, unused="list").unused
+                self._use.add(scenario.set_keys, unused)
+                for each in unused:
+                    self._runs.setdefault(each.key.place, run)
+
+    def check_keys(self) -> list[str]:
+        """Check that each key that the study or the scenario's file sets acts in some flight.
+
+        Returns:
+            Keys that act in some flights only, or, where there are too many to build, perhaps in
+            none that was built.
+
+        Raises:
+            ScenarioError: with all keys that never act, and their places.
+        """
+        refused = self._use.refused
+        if refused and self._built < MAX_BUILT:
+            problems: list[Problem] = []
+            for each in refused:
+                run = self._runs[each.key.place]
+                error = ScenarioError([each.problem])
+                problems += _in_study_file(self._plan, run, error).problems
+            raise ScenarioError(merge_repeated(problems))
+        return [str(each.problem) for each in (*refused, *self._use.warned) if each.key.by_setting]
 
     def check_code(self) -> None:
         """Build the laws and functions of the user's.

@@ -129,6 +129,8 @@ def sweep(
             f"warning: {checked.invalid} of {checked.checked} points are invalid, such as "
             f"{checked.example}"
         )
+    for line in checked.without_effect:
+        report(f"warning: in some flights, {line}")
     if unreached := plan.unreached_metrics():
         report(f"warning: {unreached}")
     for line in plan.unchecked_bounds():

@@ -106,8 +106,12 @@ class TuneProblem:
             scenario = self._plan.scenario(run)
             flown.add(run, scenario)
             self.durations_s.append(scenario.scenario.duration_s)
+        for key, bounds in tune.config.gains.items():
+            run = self._with(self.runs[0], {key: bounds.low})
+            flown.add(run, self._plan.scenario(run))
         flown.check_metrics([(("objective", "metric"), tune.config.objective.metric)])
         flown.check_code()
+        flown.check_keys()
         self._check_airframe()
         self._check_constraints()
 

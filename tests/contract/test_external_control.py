@@ -257,6 +257,17 @@ def test_commanded_airspeed_survives_item_change():
     assert leader._navigator._mission.plan.mission.airspeed == 25.0
 
 
+def test_airspeed_without_effect_is_refused():
+    world = build(short(), commanded=True)
+    leader, follower = world.external_control.vehicles[:2]
+    assert "the formation's commands set the throttle" in follower.set_airspeed(25.0).text
+    assert follower.command_counts["airspeeds"] == 0
+    assert leader.set_mode(FlightMode.FBWA) is None
+    assert "manual commands set the throttle" in leader.set_airspeed(25.0).text
+    assert follower.set_mode(FlightMode.LOITER) is None
+    assert follower.set_airspeed(25.0) is None
+
+
 def test_manual_command_then_timeout_failsafe():
     bank, pitch = math.radians(20.0), math.radians(3.0)
     script = {

@@ -240,3 +240,29 @@ def test_aircraft_without_parameters_still_answers():
     client = VehicleClient(RecordingControl(external=False))
     client.control.parameters = {}
     assert answer(client.command(REQUEST, 65.0)) == ACCEPTED
+
+
+POSITION = {
+    **TO,
+    **dict.fromkeys(("x", "y", "z", "vx", "vy", "vz", "afx", "afy", "afz"), 0.0),
+    **{"time_boot_ms": 0, "coordinate_frame": 1, "type_mask": 0, "yaw": 0.0, "yaw_rate": 0.0},
+}
+
+
+def test_unhandled_messages_are_answered_once():
+    client = VehicleClient()
+    name = "SET_POSITION_TARGET_LOCAL_NED"
+    (text,) = texts(client.send(name, **POSITION))
+    assert text == (
+        "SET_POSITION_TARGET_LOCAL_NED is ignored: not supported here (send SET_ATTITUDE_TARGET, "
+        "or DO_REPOSITION in GUIDED)"
+    )
+    assert client.send(name, **POSITION) == []
+    assert len(texts(client.send(name, system=254, **POSITION))) == 1
+    home = {"target_system": 1, "latitude": 0, "longitude": 0, "altitude": 0}
+    (text,) = texts(client.send("SET_GPS_GLOBAL_ORIGIN", **home))
+    assert text == "SET_GPS_GLOBAL_ORIGIN is ignored: not supported here"
+    # another vehicle, an answer, and what names no vehicle
+    assert client.send(name, system=253, **POSITION | {"target_system": 2}) == []
+    assert client.send("MISSION_ACK", **TO, type=0) == []
+    assert client.send("SYSTEM_TIME", time_unix_usec=0, time_boot_ms=0) == []

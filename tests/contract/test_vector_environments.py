@@ -173,3 +173,80 @@ def test_refused_actions_keep_all_episodes(wrong):
         envs.step(wrong)
     for step in range(3):
         np.testing.assert_array_equal(*(each.step(actions(3, step))[0] for each in (envs, twin)))
+
+
+def test_a_mask_begins_some_episodes_only():
+    envs, twin = make(duration_s=2.0), make(duration_s=2.0)
+    for each in (envs, twin):
+        each.reset(seed=1)
+        for step in range(3):
+            each.step(actions(3, step))
+    envs.reset(options={"reset_mask": np.array([True, False, False])})
+    seen, *_, infos = envs.step(actions(3, 9))
+    beside, *_, others = twin.step(actions(3, 9))
+    assert infos["time_s"] == pytest.approx([0.22, 0.82, 0.82])
+    np.testing.assert_array_equal(seen[1:], beside[1:])
+    for key in SHOWN:
+        np.testing.assert_array_equal(infos[key][1:], others[key][1:])
+    envs.reset(options={})
+    assert envs.step(actions(3, 9))[-1]["time_s"] == pytest.approx([0.22] * 3)
+
+
+def test_a_mask_begins_an_ended_episode():
+    """The step after it flies; without a mask it would begin the next episode."""
+    envs = make(duration_s=0.6)
+    envs.reset(seed=1)
+    for _ in range(3):
+        *_, truncated, _ = envs.step(np.zeros((3, 3)))
+    assert truncated.all()
+    envs.reset(options={"reset_mask": np.array([True, False, False])})
+    assert envs.step(np.zeros((3, 3)))[-1]["time_s"] == pytest.approx([0.22, 0.02, 0.02])
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"reset_masks": np.ones(3, bool)}, "write reset_mask"),
+        ({"reset_mask": np.ones(2, bool)}, "write 3 times true or false"),
+        ({"reset_mask": np.zeros(3, bool)}, "one of them true"),
+        ({"reset_mask": [1, 0, 0]}, "write 3 times true or false"),
+        ("reset_mask", "options: is 'reset_mask'"),
+    ],
+)
+def test_wrong_options_keep_all_episodes(options, text):
+    envs, twin = make(), make()
+    for each in (envs, twin):
+        each.reset(seed=1)
+        each.step(actions(3, 0))
+    with pytest.raises(InputError) as caught:
+        envs.reset(seed=4, options=options)
+    assert text in str(caught.value)
+    np.testing.assert_array_equal(*(each.step(actions(3, 1))[0] for each in (envs, twin)))
+
+
+def test_a_mask_needs_episodes_and_whole_flights():
+    envs = make()
+    with pytest.raises(gymnasium.error.ResetNeeded, match="call reset"):
+        envs.reset(options={"reset_mask": np.array([True, False, False])})
+    flights = FormationVectorEnv(2, duration_s=1.0, starts=2)
+    flights.reset(seed=1)
+    with pytest.raises(InputError, match="the 3 followers of a flight begin together"):
+        flights.reset(options={"reset_mask": np.arange(6) == 0})
+    flights.reset(options={"reset_mask": np.arange(6) < 3})
+    assert flights.step(np.zeros((6, 3)))[-1]["time_s"] == pytest.approx(0.22)
+
+
+def test_a_closed_environment_refuses_all():
+    envs = make()
+    envs.reset(seed=1)
+    envs.close()
+    for call in (envs.reset, lambda: envs.step(np.zeros((3, 3)))):
+        with pytest.raises(InputError, match="is closed"):
+            call()
+
+
+def test_one_flight_has_no_options():
+    alone = gymnasium.make(ID, duration_s=1.0)
+    alone.reset(options={})
+    with pytest.raises(InputError, match="options: is "):
+        alone.reset(options={"reset_mask": True})
