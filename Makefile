@@ -97,6 +97,7 @@ check-all: test release
 	@TESTBED_QUIET=1 $(BIN)/pytest -q tests/clients/test_real_time.py
 	@TESTBED_WHOLE=1 $(BIN)/pytest -q -n $(JOBS) tests/golden paper/tests \
 		tests/contract/test_saved_flights.py
+	@TESTBED_BEGUN=1000 $(BIN)/pytest -q -n $(JOBS) tests/contract/test_begun_flights.py
 	@TESTBED_PREPARED=1 $(BIN)/pytest -q -n $(JOBS) tests/contract/test_prepare.py
 	@TESTBED_ENGINES=1 $(BIN)/pytest -q -n $(JOBS) tests/contract/test_engine.py \
 		tests/contract/test_engine_powers.py

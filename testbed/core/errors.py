@@ -4,15 +4,38 @@ from __future__ import annotations
 
 import errno
 import unicodedata
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from typing import Any, NoReturn, SupportsIndex
 
 # Control and format characters, surrogates, line and paragraph separators: quoted from a file, they
 # could move the cursor of a terminal or reverse the text.
 _HIDDEN = ("Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp")
 
 
-class InputError(ValueError):
+class Portable(Exception):
+    """An exception that `copy` and `pickle` copy, whatever its constructor takes.
+
+    Those of Python call the constructor with the text, which fails in another process, or changes
+    the text, where the constructor has other parameters.
+    """
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return what makes a copy: class, text, attributes, notes."""
+        return _copy_exception, (type(self), self.args, dict(vars(self)))
+
+
+def _copy_exception(
+    kind: type[Exception], args: tuple[object, ...], attributes: Mapping[str, object]
+) -> Exception:
+    """Return an exception with these attributes, without a call of its constructor."""
+    error: Exception = kind.__new__(kind, *args)
+    error.args = args
+    vars(error).update(attributes)
+    return error
+
+
+class InputError(Portable, ValueError):
     """Invalid input; the text has the place, the reason, and what to write instead.
 
     The command line prints it without a traceback and exits with 2.
@@ -46,6 +69,26 @@ DISTRIBUTION = "formation-testbed"  # the name that pip installs, as in pyprojec
 
 class NotCopiedError(InputError, TypeError):
     """An object that `copy` or `pickle` cannot copy; the text has what to do instead."""
+
+
+class NotCopied:
+    """Base of classes whose objects cannot be copied: copies and pickles are refused.
+
+    Copies would share memory of which compiled code has the addresses, or have the addresses of
+    another process.
+    """
+
+    def __reduce_ex__(self, protocol: SupportsIndex) -> NoReturn:
+        """Refuse copies and pickles.
+
+        Raises:
+            NotCopiedError: always.
+        """
+        raise NotCopiedError(self._why_not_copied())
+
+    def _why_not_copied(self) -> str:
+        """Return what cannot be copied, and what to do instead."""
+        raise NotImplementedError
 
 
 class MissingExtraError(InputError, ImportError):

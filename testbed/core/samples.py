@@ -23,6 +23,7 @@ from testbed.core.records import (
     Indices,
     LinkCounters,
     Records,
+    RunInfo,
     Sample,
     UIntArray,
     VehicleState,
@@ -54,11 +55,16 @@ class SampleBuffer:
 
     Args:
         aircraft: N.
+
+    Attributes:
+        earlier: the sample before the first one, of the flight as which this one begins; None:
+            there is none.
     """
 
     def __init__(self, aircraft: int) -> None:
         """See the class."""
         capacity = block_samples(aircraft)
+        self.earlier: SampleRows | None = None
         self._ticks = np.zeros(capacity, np.int64)
         self._count = np.zeros(2, np.int64)  # samples of the block, and of all blocks
         self._inexact: BoolArray = np.zeros(capacity, dtype=bool)
@@ -138,6 +144,14 @@ class SampleBuffer:
             value = getattr(sample, name)
             _write(getattr(value, field) if field else value, column[row], path)
 
+    def copy_last(self) -> SampleRows | None:
+        """Copy the last sample; None: there is none."""
+        if not self.total:
+            return None
+        last = self.since(self.total - 1)
+        columns = {source: column.copy() for source, column in last.columns.items()}
+        return SampleRows(last.ticks.copy(), columns, last.inexact.copy())
+
     def since(self, taken: int) -> SampleRows:
         """Return the samples of the block after the first `taken` of all blocks.
 
@@ -188,11 +202,33 @@ class BlockObserver(ABC):
         assert self._buffer is not None, "the run has begun"
         return self._buffer.since(self._taken)
 
+    @property
+    def _earlier(self) -> SampleRows | None:
+        """See `SampleBuffer.earlier`."""
+        assert self._buffer is not None, "the run has begun"
+        return self._buffer.earlier
+
     def _take(self) -> SampleRows:
         """Take the samples that were not taken."""
         new = self._new
         self._taken += len(new.ticks)
         return new
+
+
+class LastSample(BlockObserver):
+    """An observer for which a flight keeps a buffer, which has the last sample."""
+
+    def add_events(self, events: Sequence[Event]) -> None:
+        """Do nothing."""
+
+    def take_block(self) -> None:
+        """Do nothing: the buffer keeps the block until the next sample."""
+
+    def begin(self, info: RunInfo) -> None:
+        """Do nothing."""
+
+    def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:
+        """Do nothing."""
 
 
 def _write(array: NDArray[Any], target: NDArray[Any], name: str) -> None:

@@ -6,18 +6,20 @@ random generators. Returning writes these into the same objects again, so that a
 code stay right. What has its state elsewhere, such as a program or a file, is refused by name.
 
 A class may say that its objects are `CONSTANT`. It may name attributes in `UNSAVED`: these are no
-state of a flight, or are made again where they are missing; and in `ADDRESSES`: these are right in
-their own object only. It may have a method `unused_arrays`, of arrays that are written before they
-are read.
+state of a flight, or are made again where they are missing; in `ADDRESSES`: these are right in
+their own object only; and in `ALIKE`: objects whose values of these differ are no counterparts of
+each other. It may have a method `unused_arrays`, of arrays that are written before they are read.
 """
 
 from __future__ import annotations
 
 import copy
 import enum
+import functools
+import math
 import types
 from collections import OrderedDict, defaultdict, deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from itertools import islice
 from pathlib import PurePath
@@ -27,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.core.compile import is_compiled
-from testbed.core.errors import InputError
+from testbed.core.errors import InputError, NotCopied
 
 # Objects that never change, or that no flight changes.
 _CONSTANT = (
@@ -41,7 +43,7 @@ T = TypeVar("T")
 Back = Callable[[], None]  # writes a part of the state again
 
 
-class SavedState:
+class SavedState(NotCopied):
     """The state of some objects at one moment.
 
     Args:
@@ -50,6 +52,8 @@ class SavedState:
     Raises:
         InputError: something reachable cannot be saved.
     """
+
+    CONSTANT = True  # for another state, of a flight that holds this one
 
     def __init__(self, **roots: object) -> None:
         """See the class."""
@@ -78,6 +82,13 @@ class SavedState:
         used = [each for key, each in arrays.items() if key not in unused and each.size]
         self._arrays = [_bytes_of(each) for each in used]
         self._copies = [each.copy() for each in self._arrays]
+
+    def _why_not_copied(self) -> str:
+        """See `NotCopied`."""
+        return (
+            "a saved state cannot be copied or pickled: it belongs to the objects of its flight "
+            "(restore it as often as you like, or make another flight)"
+        )
 
     def restore(self) -> None:
         """Return all objects to this state."""
@@ -134,8 +145,8 @@ def copy_state(source: object, target: object) -> None:
             if other.flags.writeable:
                 other[...] = one
             continue
-        for name, (a, b), write in _parallel_parts((one, other)):
-            if not isinstance(a, _CONSTANT):
+        for name, (a, b), write in _parallel_parts((one, other), path):
+            if not _is_value(a):
                 waiting.append((a, b, f"{path}{name}"))
             elif write is not None:
                 write(a)
@@ -143,46 +154,248 @@ def copy_state(source: object, target: object) -> None:
                 raise TypeError(f"{path}{name}: {a!r} and {b!r} cannot be exchanged")
 
 
-def take_changes(before: object, after: object, target: object) -> list[str]:
-    """Write what has changed in an object into another one, which keeps all else.
+def take_changes(
+    before: Mapping[str, object], after: Mapping[str, object], target: Mapping[str, object]
+) -> list[str]:
+    """Write what has changed in objects into others, which keep all else.
 
     Numbers are compared one by one. So parameters, which do not change, stay those of the target.
 
     Args:
-        before: a twin of `after` in the state that this had.
-        after: an object in its present state.
+        before: by name, twins of `after` in the state that these had.
+        after: objects in their present state.
         target: of a similar structure.
 
     Returns:
-        Names of the parts that have changed and have no place in the target.
+        Names of the parts that have changed and have no counterpart in the target.
+
+    Raises:
+        InputError: a part has changed that has a counterpart, into which it cannot be written; the
+            text begins with its name.
     """
     seen, left = set[int](), list[str]()
-    waiting = [(before, after, target, "")]
+    waiting = [(before[name], after[name], target[name], name) for name in reversed([*after])]
     while waiting:
         old, new, mine, path = waiting.pop()
         if new is mine or id(new) in seen or _is_constant(new):
             continue
         seen.add(id(new))
-        if isinstance(new, np.ndarray) and isinstance(old, np.ndarray):
-            fits = _take_numbers(old, new, mine)
-        else:
-            kinds = {(type(each).__module__, type(each).__qualname__) for each in (old, new, mine)}
-            fits = len(kinds) == 1 and _size(old) == _size(new) == _size(mine)
-        if not fits and _has_changed(old, new):
-            left.append(path)
-        if not fits or isinstance(new, np.ndarray):
+        if not _are_alike(old, new, mine) or not _take_members(old, new, mine, path, left):
+            if _has_changed(old, new, path):
+                _leave(old, new, mine, path, left)
             continue
-        for name, (a, b, c), write in _parallel_parts((old, new, mine)):
-            constants = [isinstance(each, _CONSTANT) for each in (a, b, c)]
-            if not any(constants):
-                waiting.append((a, b, c, f"{path}{name}"))
-            elif all(constants) and not _differ(a, b):
-                continue
-            elif write is None or not _is_data(b):
-                left.append(f"{path}{name}")
+        if _is_taken_whole(old, new):
+            continue
+        for name, (a, b, c), write in _parallel_parts((old, new, mine), path):
+            where = f"{path}{name}"
+            values = [_is_value(each) for each in (a, b, c)]
+            if not any(values):
+                waiting.append((a, b, c, where))
+            elif not _has_changed(a, b, where):
+                if write is None and not all(values) and not _are_alike(a, c):
+                    left.append(where)  # such as no law of one's own, and one
+            elif write is None or not _is_copyable(b):
+                _leave(a, b, c, where, left)
             else:
-                write(copy.deepcopy(b))
+                write(_merged(a, b, c) if all(values) else copy.deepcopy(b))
     return left
+
+
+def _is_taken_whole(old: Any, new: Any) -> bool:  # noqa: ANN401 - any object
+    """Return whether `_take_members` has taken all of something."""
+    if isinstance(new, np.ndarray):
+        return not new.dtype.hasobject
+    return isinstance(new, _UNORDERED) or (isinstance(new, list | deque) and len(old) != len(new))
+
+
+def _leave(old: object, new: object, mine: object, path: str, left: list[str]) -> None:
+    """List a changed part as one without a counterpart.
+
+    Raises:
+        InputError: it has one.
+    """
+    if _are_alike(old, mine) and not _has_changed(old, mine, path):
+        raise InputError(f"{path.lstrip('.')}: has become a {_kind(new)}, which cannot be copied")
+    left.append(path)
+
+
+def _kind(value: object) -> str:
+    return f"{type(value).__module__}.{type(value).__qualname__}"
+
+
+def _are_alike(*objects: object) -> bool:
+    """Return whether objects are of one kind and structure, so that their parts correspond."""
+    first, *others = (_structure(each) for each in objects)
+    return all(each == first for each in others)
+
+
+def _structure(value: Any) -> tuple[object, ...]:  # noqa: ANN401 - any object
+    """Return what is equal for objects whose parts correspond."""
+    kind: type = type(value)
+    found: tuple[object, ...]
+    if isinstance(value, types.FunctionType):
+        found = (value.__code__,)
+    elif isinstance(value, types.MethodType):
+        found = (getattr(value.__func__, "__code__", value.__name__),)
+    elif kind is partial:
+        found = len(value.args), *sorted(value.keywords)
+    elif isinstance(value, np.random.Generator):
+        found = (type(value.bit_generator),)
+    elif isinstance(value, tuple):
+        found = (len(value),)
+    elif isinstance(value, np.ndarray) and value.dtype.hasobject:
+        found = value.shape, value.dtype
+    else:
+        found = tuple(getattr(value, name) for name in getattr(kind, "ALIKE", ()))
+    return kind.__module__, kind.__qualname__, found
+
+
+def _take_members(old: Any, new: Any, mine: Any, path: str, left: list[str]) -> bool:  # noqa: ANN401
+    """Let a container or an object have the members that have come, and lose those that have gone.
+
+    Numbers of arrays and elements of sets are such members.
+
+    Returns:
+        Whether it could; false: nothing is written.
+
+    Raises:
+        InputError: see `take_changes`.
+    """
+    if isinstance(new, np.ndarray):
+        return new.dtype.hasobject or _take_numbers(old, new, mine)
+    if isinstance(new, list | deque):
+        if len(old) == len(new) == len(mine):
+            return True
+        unlike = len(old) != len(mine) or _has_changed(old, mine, path)
+        if len(old) == len(new) or unlike or not _is_copyable(list(new)):
+            return False
+        _refill(mine, copy.deepcopy(list(new)))
+        return True
+    if isinstance(new, _UNORDERED):
+        if not (_is_data(old) and _is_data(new) and isinstance(mine, set)):
+            return False
+        mine |= new - old
+        mine -= old - new
+        return True
+    was, now, own = (_members(each, path) for each in (old, new, mine))
+    for name in now.keys() - was.keys():
+        where = f"{path}{_member(new, name)}"
+        if not _is_copyable(now[name]):
+            _leave(None, now[name], own.get(name), where, left)
+        else:
+            _set_member(mine, name, copy.deepcopy(now[name]))
+    for name in (was.keys() - now.keys()) & own.keys():
+        _delete_member(mine, name)
+    for name in (was.keys() & now.keys()) - own.keys():
+        if _has_changed(was[name], now[name], path):
+            left.append(f"{path}{_member(new, name)}")
+    return True
+
+
+def _members(value: Any, path: str) -> dict[Any, Any]:  # noqa: ANN401 - any object
+    """Return the entries of a dictionary, or the attributes of an object that has some.
+
+    Raises:
+        InputError: its state is not in Python.
+    """
+    if isinstance(value, dict):
+        return value
+    if isinstance(value, _WITHOUT_ATTRIBUTES) or type(value) is partial:
+        return {}
+    kind = type(value)
+    try:
+        names = {*getattr(value, "__dict__", ()), *_slots(kind, object)}
+    except TypeError as error:
+        raise InputError(f"{path.lstrip('.')}: {error}") from error
+    names -= _hidden(kind)
+    return {name: getattr(value, name) for name in sorted(names) if hasattr(value, name)}
+
+
+def _hidden(kind: type) -> frozenset[str]:
+    """Return the names of attributes that are no state, or are right in their own object only."""
+    if kind in _KNOWN_HIDDEN:
+        return _KNOWN_HIDDEN[kind]
+    found = {*getattr(kind, "UNSAVED", ()), *getattr(kind, "ADDRESSES", ())}
+    for one in kind.__mro__:
+        made = (n for n, each in vars(one).items() if isinstance(each, functools.cached_property))
+        found.update(made)  # when it is first read
+    _KNOWN_HIDDEN[kind] = frozenset(found)
+    return _KNOWN_HIDDEN[kind]
+
+
+_KNOWN_HIDDEN: dict[type, frozenset[str]] = {}
+
+
+_UNORDERED = set, frozenset
+_WITHOUT_ATTRIBUTES = (
+    *(list, tuple, deque, set, frozenset, np.ndarray, np.random.Generator),
+    *(types.FunctionType, types.MethodType),
+)
+
+
+def _member(value: object, name: object) -> str:
+    return f"[{name!r}]" if isinstance(value, dict) else f".{name}"
+
+
+def _set_member(target: Any, name: Any, value: object) -> None:  # noqa: ANN401
+    if isinstance(target, dict):
+        target[name] = value
+    else:
+        object.__setattr__(target, name, value)
+
+
+def _delete_member(target: Any, name: Any) -> None:  # noqa: ANN401
+    if isinstance(target, dict):
+        del target[name]
+    else:
+        object.__delattr__(target, name)
+
+
+def _is_copyable(value: object, seen: set[int] | None = None) -> bool:
+    """Return whether a copy of something is as good as it is.
+
+    These are data, generators of random numbers, and objects of a user's classes that consist of
+    them. Objects of the testbed may refer to others of their flight.
+    """
+    seen = set() if seen is None else seen
+    if id(value) in seen or isinstance(value, (*_CONSTANT, np.random.Generator)):
+        return True
+    seen.add(id(value))
+    if isinstance(value, dict):
+        parts = [*value.keys(), *value.values()]
+    elif isinstance(value, list | tuple | set | frozenset | deque):
+        parts = [*value]
+    elif isinstance(value, np.ndarray):
+        parts = [*value.flat] if value.dtype.hasobject else []
+    elif _is_constant(value) or type(value).__module__.partition(".")[0] == "testbed":
+        return _is_constant(value)
+    else:
+        try:
+            parts = [*_members(value, "").values()]
+        except InputError:
+            return False
+        if isinstance(value, _WITHOUT_ATTRIBUTES) or type(value) is partial:
+            return False
+    return all(_is_copyable(each, seen) for each in parts)
+
+
+def _is_value(value: object) -> bool:
+    """Return whether something never changes itself: it is replaced by another value."""
+    if isinstance(value, tuple | frozenset):
+        return all(map(_is_value, value))
+    kind = type(value)
+    compared = getattr(kind, "CONSTANT", False) and kind.__eq__ is not object.__eq__
+    return compared or isinstance(value, _CONSTANT)
+
+
+def _merged(old: Any, new: Any, mine: Any) -> Any:  # noqa: ANN401 - values
+    """Return a value with what has changed, and else what it was."""
+    tuples = all(isinstance(each, tuple) for each in (old, new, mine))
+    if not tuples or not len(old) == len(new) == len(mine):
+        return new if _differ(old, new) else mine
+    parts = [_merged(*each) for each in zip(old, new, mine, strict=True)]
+    make = getattr(type(mine), "_make", type(mine))
+    return make(parts)
 
 
 def _take_numbers(old: NDArray[Any], new: NDArray[Any], mine: object) -> bool:
@@ -191,6 +404,8 @@ def _take_numbers(old: NDArray[Any], new: NDArray[Any], mine: object) -> bool:
         return False
     if not old.dtype == new.dtype == mine.dtype:
         return False
+    if not mine.flags.writeable:  # a view; or what it has cannot change
+        return _take_base(old, new, mine)
     if new.dtype.names:  # field by field: what is between them is no number
         for name in new.dtype.names:
             _take_numbers(old[name], new[name], mine[name])
@@ -204,56 +419,101 @@ def _take_numbers(old: NDArray[Any], new: NDArray[Any], mine: object) -> bool:
     return True
 
 
-def _has_changed(old: object, new: object) -> bool:
-    """Return whether an object differs from a twin."""
-    seen, waiting = set[int](), [(old, new)]
+def _take_base(old: NDArray[Any], new: NDArray[Any], mine: NDArray[Any]) -> bool:
+    """Take the numbers of the arrays that read-only ones are views of; see `_take_numbers`."""
+    bases = old.base, new.base, mine.base
+    if all(isinstance(each, np.ndarray) for each in bases):
+        return _take_numbers(*bases)  # type: ignore[arg-type]
+    return not _has_changed(old, new, "")
+
+
+def _has_changed(old: object, new: object, path: str) -> bool:
+    """Return whether an object differs from a twin.
+
+    Raises:
+        InputError: it has a part whose state is not in Python.
+    """
+    seen, waiting = set[int](), [(old, new, path)]
     while waiting:
-        one, other = waiting.pop()
-        if one is other or id(other) in seen or _is_constant(other):
+        one, other, where = waiting.pop()
+        if one is other or id(other) in seen:
             continue
-        seen.add(id(other))
-        if isinstance(one, _CONSTANT) or isinstance(other, _CONSTANT):
+        if _is_value(one) or _is_value(other):
             if _differ(one, other):
                 return True
-        elif type(one) is not type(other) or _size(one) != _size(other):
+            continue
+        if _is_constant(other):
+            continue
+        seen.add(id(other))
+        if not _are_alike(one, other) or _size(one) != _size(other):
             return True
-        elif isinstance(one, np.ndarray):
+        if isinstance(one, np.ndarray) and not one.dtype.hasobject:
             if one.tobytes() != np.asarray(other).tobytes():
                 return True
-        else:
-            waiting += [(a, b) for _, (a, b), _ in _parallel_parts((one, other))]
+            continue
+        if isinstance(one, set | frozenset):
+            if not (_is_data(one) and _is_data(other)):
+                raise InputError(f"{where.lstrip('.')}: is a set of objects, which have no order")
+            if one != other:
+                return True
+            continue
+        parts = _parallel_parts((one, other), where)
+        waiting += [(a, b, f"{where}{name}") for name, (a, b), _ in parts]
     return False
 
 
-def _size(value: object) -> object:
-    """Return the size of a container, and the shape of an array; None of other objects."""
+def _size(value: Any) -> object:  # noqa: ANN401 - any object
+    """Return what differs where members have come or gone."""
     if isinstance(value, np.ndarray):
-        return value.shape
-    return len(value) if isinstance(value, dict | list | deque | tuple) else None
+        return value.shape, value.dtype
+    if isinstance(value, list | deque | tuple | set | frozenset):
+        return len(value)
+    if isinstance(value, dict):
+        return frozenset(value)
+    return frozenset(getattr(value, "__dict__", ())) - _hidden(type(value))
 
 
 def _is_data(value: object) -> bool:
     """Return whether something consists of numbers, texts and containers alone."""
     if isinstance(value, dict):
         return all(map(_is_data, value.values()))
-    if isinstance(value, list | tuple | set | deque):
+    if isinstance(value, list | tuple | set | frozenset | deque):
         return all(map(_is_data, value))
-    return isinstance(value, (np.ndarray, *_CONSTANT))
+    if isinstance(value, np.ndarray):
+        return not value.dtype.hasobject
+    return isinstance(value, _CONSTANT)
 
 
 def _differ(one: object, other: object) -> bool:
-    """Return whether two values differ, of which one is a constant; NaN equals NaN."""
-    same = one is other or (type(one) is type(other) and one == other)
-    return not (same or (one != one and other != other))  # noqa: PLR0124
+    """Return whether two values differ; NaN equals NaN, and −0 differs from 0."""
+    if one is other:
+        return False
+    if type(one) is not type(other):
+        return True
+    if isinstance(one, tuple) and isinstance(other, tuple):
+        pairs = zip(one, other, strict=False)
+        return len(one) != len(other) or any(_differ(a, b) for a, b in pairs)
+    if isinstance(one, float) and isinstance(other, float):
+        if math.isnan(one) or math.isnan(other):
+            return not (math.isnan(one) and math.isnan(other))
+        return one != other or math.copysign(1.0, one) != math.copysign(1.0, other)
+    return bool(one != other)
 
 
 Part = tuple[str, tuple[Any, ...], "Callable[[object], object] | None"]
 
 
-def _parallel_parts(objects: tuple[Any, ...]) -> Iterator[Part]:
+def _parallel_parts(objects: tuple[Any, ...], path: str) -> Iterator[Part]:
     """Yield the parts of objects of one type: name, of each object, and what writes the last one's.
 
     Parts that not all of them have are left out.
+
+    Args:
+        objects: that are alike.
+        path: of them, for errors.
+
+    Raises:
+        InputError: their state is not in Python.
     """
     one, last = objects[0], objects[-1]
     write: Callable[[object], object] | None
@@ -265,27 +525,32 @@ def _parallel_parts(objects: tuple[Any, ...]) -> Iterator[Part]:
     elif isinstance(one, types.MethodType):
         yield "", tuple(each.__self__ for each in objects), None
     elif type(one) is partial:
+        yield "", tuple(each.func for each in objects), None
         for same in zip(*(each.args for each in objects), strict=True):
             yield "()", same, None
+        for name in one.keywords:
+            yield f"({name})", tuple(each.keywords[name] for each in objects), None
     elif isinstance(one, np.random.Generator):
         states = tuple(repr(each.bit_generator.state) for each in objects)
         state = objects[-2].bit_generator.state
         yield "", states, lambda _: setattr(last.bit_generator, "state", state)
-    elif isinstance(one, dict):
-        for key in [key for key in one if all(key in each for each in objects)]:
-            write = partial(last.__setitem__, key)
-            yield f"[{key!r}]", tuple(each[key] for each in objects), write
+    elif isinstance(one, np.ndarray):
+        for at in np.ndindex(one.shape):
+            yield f"[{at}]", tuple(each[at] for each in objects), partial(last.__setitem__, at)
     elif isinstance(one, list | tuple | deque):
         for k, same in enumerate(zip(*objects, strict=True)):
             write = None if isinstance(one, tuple) else partial(last.__setitem__, k)
             yield f"[{k}]", same, write
+    elif isinstance(one, set | frozenset):
+        if not all(map(_is_data, objects)):
+            raise InputError(f"{path.lstrip('.')}: is a set of objects, which have no order")
+        write = None if isinstance(one, frozenset) else partial(_refill, last)
+        yield "{}", tuple(frozenset(each) for each in objects), write
     else:
-        kind = type(one)
-        names = {*getattr(one, "__dict__", ()), *_slots(kind, object)}
-        names -= {*getattr(kind, "UNSAVED", ()), *getattr(kind, "ADDRESSES", ())}
-        for name in sorted(name for name in names if all(hasattr(e, name) for e in objects)):
-            write = None if _is_frozen(kind) else partial(object.__setattr__, last, name)
-            yield f".{name}", tuple(getattr(each, name) for each in objects), write
+        members = [_members(each, path) for each in objects]
+        for name in [name for name in members[0] if all(name in each for each in members)]:
+            write = None if _is_frozen(type(one)) else partial(_set_member, last, name)
+            yield _member(one, name), tuple(each[name] for each in members), write
 
 
 def _is_constant(value: object) -> bool:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from testbed.core.compile import entry, kernel
+from testbed.core.errors import Portable
 from testbed.core.records import Array, Record, Records, Values, allocate
 
 KNOTS = 513
@@ -25,7 +26,7 @@ TABLE = np.dtype(
 Function = Callable[[Array], Array]
 
 
-class Rough(Exception):
+class Rough(Portable):
     """A function that a table does not describe, near `x`."""
 
     def __init__(self, x: float) -> None:

@@ -64,6 +64,11 @@ class ControlGroup:
     law: Law | None  # a user's law; None: that of [HBH23]
 
 
+def _memory_key(number: int, group: ControlGroup) -> str:
+    kind = type(group.law)
+    return f"{number} {kind.__module__}.{kind.__qualname__}"
+
+
 class Control:
     """Step the control of n followers on the records of the run.
 
@@ -108,7 +113,8 @@ class Control:
         self._followers["slot_index"] = np.arange(1, len(offsets))
         self._links["age_s"] = np.nan
         self.left: BoolArray = np.zeros(len(self._followers), dtype=bool)
-        self._memory: list[Any] = [None] * len(groups)
+        # by group and law: of another law there is no counterpart
+        self._memory: dict[str, Any] = {_memory_key(*each): None for each in enumerate(groups)}
         self._use_all_messages()
         self._parts = controllers, neighbours, self._own, *run
 
@@ -207,11 +213,11 @@ class Control:
         own = VehicleState(*(each.copy() for each in inputs[0]))
         inbox = Inbox(*(each.copy() for each in inputs[1]))
         with _flight_errors(law):
-            known = self._memory[number]
+            known = self._memory[_memory_key(number, group)]
             memory = law.start(own) if known is None else known[0]
             returned, memory = law.step(now, own, inbox, memory)
             valid = validate_command(returned, group.config, now)
-        self._memory[number] = (memory,)
+        self._memory[_memory_key(number, group)] = (memory,)
         command.put(valid)
         finish(now)
         if isinstance(valid, FbwaCommand):

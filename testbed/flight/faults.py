@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,13 +65,19 @@ class FaultManager:
             has_effect: whether a fault affects the aircraft of a row.
         """
         self._names, self._declared_after_s = names, declared_after_s
-        self._faults = [
-            _FaultRecord(row, one, has_effect(row, one))
-            for row, each in enumerate(faults)
-            for one in each
-        ]
+        # by aircraft, fault, and how many equal ones precede it: those of a flight that begins as
+        # another one correspond to equal ones
+        self._records: dict[tuple[str, AnyFault, int], _FaultRecord] = {}
+        for row, each in enumerate(faults):
+            for k, one in enumerate(each):
+                record = _FaultRecord(row, one, has_effect(row, one))
+                self._records[names[row], one, each[:k].count(one)] = record
         self.state = no_faults(len(names))
         self._discharging = False  # the state empties a battery, which it does at one tick only
+
+    @property
+    def _faults(self) -> Collection[_FaultRecord]:
+        return self._records.values()
 
     @property
     def active(self) -> BoolArray:
@@ -98,6 +104,32 @@ class FaultManager:
         """
         if self._discharging:
             self._update_state(())
+        yield from self._changes(now, truth, air, lost, [])
+
+    def resume(
+        self, now: float, truth: VehicleState, air: Callable[[], AirData], lost: BoolArray
+    ) -> Iterator[Event]:
+        """Yield as `changes`, where beginnings up to now are those of another flight.
+
+        Args:
+            now: s.
+            truth: see `changes`, as what follows.
+            air: see there.
+            lost: see there.
+        """
+        taken = [each for each in self._faults if each.begin_s == now]
+        self._update_state(taken)
+        yield from self._changes(now, truth, air, lost, taken)
+
+    def _changes(
+        self,
+        now: float,
+        truth: VehicleState,
+        air: Callable[[], AirData],
+        lost: BoolArray,
+        taken: list[_FaultRecord],
+    ) -> Iterator[Event]:
+        """Yield as `changes`; `taken` are faults that have begun now already."""
         at = now + SIMULTANEOUS_S
         ended = [
             f
@@ -115,7 +147,7 @@ class FaultManager:
             text += "" if each.has_effect else ": no effect, because the estimate uses no GPS"
             yield Event(now, "warning", self._names[each.row], text)
         if begun or ended:
-            self._update_state(begun)
+            self._update_state([*taken, *begun])
 
     def declared(self, measured_s: Array) -> BoolArray:
         """Return which messages (..., N) declare a failure of their sender.

@@ -14,6 +14,7 @@ from testbed.core.compile import is_interpreted, prepare, registered, registerin
 from testbed.core.records import (
     AirData,
     Event,
+    FaultState,
     FormationState,
     Observer,
     Records,
@@ -25,6 +26,7 @@ from testbed.core.records import (
 )
 from testbed.core.samples import make_sample
 from testbed.core.saved_state import Replayed, take_changes
+from testbed.flight.faults import no_faults
 from testbed.flight.formation_stages import FormationStages
 from testbed.flight.monitors import GustMonitor, LossMonitor
 from testbed.flight.observers import EventQueue, Observers
@@ -316,18 +318,37 @@ class Flight:
         Returns:
             Names of the parts that have changed and have no place here.
         """
-        left = []
         for each in (before, self):
             each._world.formation.radio.match(after._world.formation.radio)
-        for name in ("_world", "_losses", "_gust_monitor", "_formation"):
-            flown = (getattr(before, name), getattr(after, name), getattr(self, name))
-            left += [f"{name.lstrip('_')}{part}" for part in take_changes(*flown)]
+        left = take_changes(before._parts, after._parts, self._parts)
         estimators, own = before._world.estimators, self._world.estimators
         if own.exact != estimators.exact or any("world.estimators" in each for each in left):
             own.warm_up(self._world.aircraft)  # up to the present motion
         self._world.formation.radio.restart_statistics()
         self._first_tick = self._world.clock.ticks(after.time_s)
+        self._resume_faults(after.time_s)
+        if self._observers.buffer is not None and after._observers.buffer is not None:
+            self._observers.buffer.earlier = after._observers.buffer.copy_last()
         return left
+
+    @property
+    def _parts(self) -> dict[str, object]:
+        """What a flight takes over, by name."""
+        return {
+            "world": self._world,
+            "losses": self._losses,
+            "gust_monitor": self._gust_monitor,
+            "formation": self._formation,
+        }
+
+    def _resume_faults(self, now: float) -> None:
+        """Let only the own scenario's faults have an effect, after `take_changes`."""
+        if self._world.faults is None:
+            self._apply_faults(no_faults(len(self._world.names)))
+        else:
+            known = self._truth, self._read_air, self._losses.lost
+            self._events += self._world.faults.resume(now, *known)
+            self._apply_faults(self._world.faults.state)
 
     def add_event(self, event: Event) -> None:
         """Add an event before the first tick."""
@@ -384,6 +405,11 @@ class Flight:
     def time_s(self) -> float:
         """Time of the tick to which `fly_to` has flown, s."""
         return self._paused_loop.time_s
+
+    @property
+    def begun_s(self) -> float:
+        """Time of the last tick that was begun, s: where a stage has failed, its time."""
+        return max(self._loop.begun_s, self._paused_loop.begun_s)
 
     def _advance(self, loop: TickLoop, ended: Ended | None, found: int | None = None) -> bool:
         """Run blocks of ticks to the next pause, and return true, or to the end of the flight.
@@ -447,9 +473,12 @@ class Flight:
         faults, lost = self._world.faults, self._losses.lost
         assert faults is not None, "a stage of flights with faults"
         self._events += faults.changes(now, self._truth, self._read_air, lost)
-        write_fields(self._world.aircraft["faults"], faults.state)
+        self._apply_faults(faults.state)
+
+    def _apply_faults(self, state: FaultState) -> None:
+        write_fields(self._world.aircraft["faults"], state)
         if self._formation is not None:
-            self._formation.mute(faults.state.transmitter_off | faults.state.frozen | lost)
+            self._formation.mute(state.transmitter_off | state.frozen | self._losses.lost)
 
     def _guide_external(self, now: float) -> None:
         world = self._world

@@ -218,6 +218,11 @@ class TickLoop:
         return tick / float(place["rate_hz"])
 
     @property
+    def begun_s(self) -> float:
+        """Time of the last tick that was begun, s."""
+        return float(self._place["now"][0])
+
+    @property
     def _at(self) -> Stage:
         place = self._place[0]
         action = self._actions[self._block["action"][place["row"]]]

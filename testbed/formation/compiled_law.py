@@ -181,6 +181,7 @@ class CompiledLaw:
         call: step all followers; returns something but 0 where `raise_error` has something to say.
     """
 
+    ALIKE = ("name",)  # another law has another memory
     __slots__ = (
         *("name", "file", "own", "inbox", "command", "call"),
         *("_kernel", "_config", "_options", "_memory", "_failed", "_gains", "_given"),

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from testbed.core.errors import InputError
+from testbed.core.errors import InputError, Portable
 from testbed.core.frames import GRAVITY
 from testbed.core.geodetic import geodetic_from_ned, ned_from_geodetic, origin_geodetic
 from testbed.core.records import NedOrigin
@@ -170,7 +170,7 @@ class _Course(NamedTuple):
     repeat_leg: int | None  # the leg after the last one; None: the mission ends
 
 
-class _ItemError(Exception):
+class _ItemError(Portable):
     """An item that cannot be flown."""
 
     def __init__(self, item: int, text: str, *, supported: bool = True) -> None:

@@ -143,8 +143,8 @@ class Accumulator:
     """Sums, extremes and counts over samples of N aircraft, n of them followers.
 
     Samples are added in the order of time, in blocks of any length. They are summed in spans of one
-    length, so that a run gives the same bits however it is observed. A lost aircraft counts until
-    it was lost.
+    length, which are counted from 0 s, so that a run gives the same bits however it is observed,
+    and the same in a window as one that begins later. A lost aircraft counts until it was lost.
 
     The velocity of a slot, q̇_g + χ̇_i, is the central difference of its position over the samples
     before and after, which is its mean over two samples: while the leader turns by x from sample
@@ -154,6 +154,7 @@ class Accumulator:
         windows: P spans of time, start inside and end outside, s.
         followers: n.
         base_rate_hz: ticks in a second.
+        sample_rate_hz: samples in a second.
         medium_ned: (3,) m/s, what speeds of slots are measured against: zero for the ground.
     """
 
@@ -163,13 +164,15 @@ class Accumulator:
         followers: int,
         *,
         base_rate_hz: int,
+        sample_rate_hz: int,
         medium_ned: Array,
     ) -> None:
         """See the class."""
         self._spans = list(windows.values())
         self._base_rate_hz, self._medium_ned = base_rate_hz, medium_ned
         p, n = len(windows), followers
-        self._span = _span_samples(n + 1)
+        self._span = self._missing = _span_samples(n + 1)  # samples of the next span
+        self._sample_ticks = max(1, base_rate_hz // sample_rate_hz)
         self._waiting: list[SampleBlock] = []  # samples of the next span
         self.first_tick = self.last_tick = NEVER
         self.lost_tick = _never(n + 1)
@@ -227,14 +230,32 @@ class Accumulator:
         self.max_horizontal = np.zeros(n + 1)  # m
         self.relative_square = np.zeros(n)  # of the position relative to the leader, m²
 
+    @property
+    def is_empty(self) -> bool:
+        """Whether no sample was added."""
+        return self.first_tick == NEVER and not any(len(each.tick) for each in self._waiting)
+
+    def precede(self, block: SampleBlock) -> None:
+        """Set the sample before the first one, which has a part in no sum."""
+        if block.lost.any():
+            block = block.exclude_lost(block.first_lost(self.lost_tick))
+        self._recent_tick = block.tick
+        self._recent_slot_ned, self._recent_slot_index = block.slot_ned, block.slot_index
+        self._recent_bank, self._recent_wind_ned = block.bank[:, 1:], block.wind_ned[:, 1:]
+        self._recent_exact = block.exact
+
     def add(self, block: SampleBlock) -> None:
         """Add a block of samples."""
+        if self.is_empty and len(block.tick):
+            number = int(block.tick[0]) // self._sample_ticks
+            self._missing = self._span - number % self._span
         self._waiting.append(block)
-        if sum(len(each.tick) for each in self._waiting) >= self._span:
+        if sum(len(each.tick) for each in self._waiting) >= self._missing:
             joined = _join(self._waiting)
-            self._accumulate(_cut(joined, slice(self._span)))
-            self._waiting = []
-            self.add(_cut(joined, slice(self._span, None)))
+            self._accumulate(_cut(joined, slice(self._missing)))
+            rest = _cut(joined, slice(self._missing, None))
+            self._waiting, self._missing = [], self._span
+            self.add(rest)
 
     def finish(self) -> None:
         """Sum also the samples of an incomplete span, after which no more are added."""

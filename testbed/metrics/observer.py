@@ -43,6 +43,8 @@ class MetricsObserver(BlockObserver):
 
     def take_block(self) -> None:
         """Accumulate the new samples of the buffer."""
+        if self._accumulator.is_empty and self._earlier is not None:
+            self._accumulator.precede(make_block(self._earlier))
         self._accumulator.add(make_block(self._take()))
 
     def begin(self, info: RunInfo) -> None:
@@ -53,6 +55,7 @@ class MetricsObserver(BlockObserver):
             self._windows,
             len(info.names) - 1,
             base_rate_hz=info.base_rate_hz,
+            sample_rate_hz=info.sample_rate_hz,
             medium_ned=np.array(info.bounded_in_ned),
         )
         self._events = []

@@ -50,6 +50,8 @@ class Encoder:
         undetected: copies that pass and are used.
     """
 
+    UNSAVED = ("_frames",)
+
     def __init__(self, encoding: Encoding, channel: Channel) -> None:
         """Start before the first broadcast."""
         self._encoding, self._channel = encoding, channel

@@ -318,6 +318,6 @@ def unreachable_agents(weights: Array, holds_altitude: BoolArray | None = None) 
             continue
         solved.append(matrix)
         _, values, vectors = np.linalg.svd(matrix)
-        kernel = vectors[values <= n * np.finfo(float).eps * max(values[0], 1e-300)]
+        kernel = vectors[values <= n * np.finfo(float).eps * values.max(initial=1e-300)]
         found.update(np.flatnonzero(np.abs(kernel).max(axis=0, initial=0.0) > 1e-6).tolist())
     return sorted(found)

@@ -26,6 +26,7 @@ from testbed.core.records import (
     allocate,
     write_fields,
 )
+from testbed.core.samples import LastSample
 from testbed.core.start_time import start_unix_ns
 from testbed.core.version import __version__
 from testbed.flight.arduplane_vehicles import ArduPlaneVehicles
@@ -300,14 +301,20 @@ def _build(
         ),
         entries=registered(),
         make_of_seed=make_of_seed if rates.synchronous else None,
-        begin=make_begin(scenario, vehicles.fleet, _fly_prior),
+        begin=make_begin(scenario, vehicles.fleet, _build_prior),
         is_random=air.is_random or radio.is_random or not (estimators.exact and rates.synchronous),
     )
 
 
-def _fly_prior(scenario: Scenario) -> Flight:
-    """Return the flight of a scenario, at its first tick."""
-    flight = Flight(build(scenario, in_process=True), [])
+def _build_prior(scenario: Scenario, *, blank: bool) -> Flight:
+    """Return the flight of a scenario before its first tick.
+
+    Args:
+        scenario: that is flown.
+        blank: as at 0 s, also where it begins as another one.
+    """
+    world = build(scenario, in_process=True)
+    flight = Flight(replace(world, begin=None) if blank else world, [LastSample()])
     flight.prepare()
     return flight
 

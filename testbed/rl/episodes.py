@@ -17,6 +17,7 @@ from pydantic import Field
 
 from testbed.commands.autopilot_session import MANUAL_ANGLE_LIMIT
 from testbed.core.errors import InputError
+from testbed.core.exclusive import Exclusive, exclusive
 from testbed.core.files import report_write_errors
 from testbed.core.records import Array, FbwaCommand, Indices, Records, UIntArray
 from testbed.core.velocity_frame import velocity_frame
@@ -289,6 +290,7 @@ class Episodes:
         self.task = task = check_arguments(
             Task, {k: arguments[k] for k in arguments if k != _DRAWN}
         )
+        self._exclusive = Exclusive(f"the episodes of {task.scenario}")
         self._nearest = nearest
         self._folder = None if task.out is None else check_path("out", task.out)
         self._file = open_scenario(task.scenario)
@@ -314,6 +316,7 @@ class Episodes:
         self.drawn: dict[str, Any] = {}
         self._count = 0
 
+    @exclusive
     def begin_with(
         self, seed: int | None, options: object, generator: np.random.Generator
     ) -> np.random.Generator:
@@ -383,6 +386,7 @@ class Episodes:
         drawn = {key: _draw(generator, each) for key, each in self._drawn_from.items()}
         return self._commanded(self._resolve(drawn)), drawn
 
+    @exclusive
     def step(self, actions: Mapping[str, Vector]) -> None:
         """Fly one control period.
 

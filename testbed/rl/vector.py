@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from testbed.core.errors import InputError
+from testbed.core.exclusive import Exclusive, exclusive
 from testbed.core.records import Array, BoolArray, FbwaCommand
 from testbed.rl.episodes import (
     ACTIONS,
@@ -105,6 +106,7 @@ class VectorEpisodes(VectorEnv[Any, Any, Any]):
         if rest.get("out") is not None:
             raise InputError("out: has no effect here (write files of episodes with one flight)")
         self._episodes = episodes = Episodes(rest, followers, nearest=nearest)
+        self._exclusive = Exclusive(f"the episodes of {episodes.task.scenario}")
         self._task, self._nearest, self._flights = episodes.task, nearest, flights
         self.followers = tuple(episodes.agents)
         count = max(task.starts or flights + flights // 4, flights) + 4
@@ -141,6 +143,7 @@ class VectorEpisodes(VectorEnv[Any, Any, Any]):
         self._begun_s = batch.times_s.copy()
         self.flown = np.arange(self._flights)
 
+    @exclusive
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Vector, Info]:
@@ -226,6 +229,7 @@ class VectorEpisodes(VectorEnv[Any, Any, Any]):
         self._actions[flights] = 0.0
         self._sums[:, flights] = 0.0
 
+    @exclusive
     def step(self, actions: Vector) -> tuple[Vector, Array, BoolArray, BoolArray, Info]:
         """Fly one control period of all flights.
 

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-import functools
 import math
 import os
 import time
 import weakref
-from collections.abc import Sequence, Sized
-from concurrent.futures import ThreadPoolExecutor
-from typing import TypeAlias
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from testbed.core.call_list import run_each
 from testbed.core.compile import is_interpreted, reporting
-from testbed.core.errors import InputError
+from testbed.core.errors import InputError, NotCopied
+from testbed.core.exclusive import Exclusive, exclusive
 from testbed.core.records import (
     AIRCRAFT,
     COMMAND,
@@ -38,7 +39,7 @@ from testbed.runs.progress import Progress, compiling_report, reporting_progress
 from testbed.runs.simulation import EventCollector, flight_metrics
 from testbed.scenario import Scenario, ScenarioError, find_loaded, set_seed
 from testbed.scenario.aircraft import ArduPlane
-from testbed.scenario.arguments import check_argument, check_count, check_overrides
+from testbed.scenario.arguments import check_argument, check_count, check_list, check_overrides
 from testbed.scenario.fields import MAX_DURATION_S
 from testbed.scenario.sections import Header
 from testbed.scenario.set_keys import KeyUse
@@ -48,11 +49,12 @@ Flown: TypeAlias = "Scenario | str | os.PathLike[str]"
 _PARTS = 4  # of the rows, for each thread
 
 
-class Batch:
+class Batch(NotCopied):
     """Flights of one scenario in this process, as rows of arrays.
 
     Each row flies as `testbed.run` of its scenario and seed, to the bit. Threads fly rows at the
-    same time. Nothing is written.
+    same time. Nothing is written. A forked child flies its own rows on; copies and pickles are
+    refused, and so is a call while another thread is within one.
 
     Args:
         scenario: a scenario, or the name or path of one; or the scenario of each row.
@@ -95,6 +97,8 @@ class Batch:
         self.seeds = [each.scenario.seed for each in self._scenarios]
         first = self._scenarios[0]
         self.names = first.aircraft_names
+        self._exclusive = Exclusive(f"the batch of {first.name}")
+        self._pool: tuple[int, ThreadPoolExecutor] | None = None  # the process, and its threads
         for row, each in enumerate(self._scenarios):
             if each.aircraft_names != self.names:
                 raise InputError(f"rows[{row}]: has other aircraft than the first row")
@@ -144,6 +148,7 @@ class Batch:
             self._scenarios[row] = set_seed(self._scenarios[row], self.seeds[row])
         return self._scenarios[row]
 
+    @exclusive
     def step(self, until: float | Sequence[float] | Array) -> None:
         """Fly all rows that have not ended to the first tick at or after a time.
 
@@ -153,20 +158,16 @@ class Batch:
         Raises:
             InputError: `until` or a command is wrong. No row has then moved.
         """
-        times = np.full(len(self), until) if np.ndim(until) == 0 else np.asarray(until)
-        try:
-            right = times.shape == (len(self),) and bool(
-                ((times >= 0.0) & (times <= MAX_DURATION_S)).all()
-            )
-        except (TypeError, ValueError):
-            right = False
-        if not right:
+        times = _as_times(until)
+        shapes = (), (len(self),)
+        if times is None or times.shape not in shapes or not _are_times(times):
             raise InputError(
                 f"until: is {shown_value(until)} (write a time from 0 to {MAX_DURATION_S:g} s, or "
                 f"{len(self)} of these)"
             )
-        self._advance(times.astype(float))
+        self._advance(np.broadcast_to(times, len(self)))
 
+    @exclusive
     def run(self) -> list[Metrics]:
         """Fly all rows to their ends, and return the metrics of each, as in metrics.json."""
         self._advance(np.full(len(self), math.inf))
@@ -184,14 +185,24 @@ class Batch:
             self._fly(flying)
             return
         # some parts for each thread: the rows of one can take longer
-        parts = min(len(flying), _PARTS * self._threads)
-        list(self._pool.map(lambda k: self._fly(flying[k::parts]), range(parts)))
+        parts, pool = min(len(flying), _PARTS * self._threads), self._threads_of_process()
+        done = [pool.submit(self._fly, flying[k::parts]) for k in range(parts)]
+        try:
+            wait(done)  # for all, also after an error in one
+        finally:
+            for each in done:  # after Ctrl-C
+                each.cancel()
+            wait(done)
+        for each in done:
+            each.result()
 
-    @functools.cached_property
-    def _pool(self) -> ThreadPoolExecutor:
-        pool = ThreadPoolExecutor(self._threads, "testbed-batch")
-        weakref.finalize(self, pool.shutdown, wait=False)
-        return pool
+    def _threads_of_process(self) -> ThreadPoolExecutor:
+        """Return the threads that fly; a forked child has none of its parent's."""
+        if self._pool is None or self._pool[0] != os.getpid():
+            pool = ThreadPoolExecutor(self._threads, "testbed-batch")
+            self._pool = os.getpid(), pool
+            weakref.finalize(self, pool.shutdown, wait=False)
+        return self._pool[1]
 
     def _fly(self, rows: Sequence[int]) -> None:
         """Fly some rows to their pauses: together, and one by one what needs Python."""
@@ -200,9 +211,18 @@ class Batch:
         else:
             found = np.empty(len(rows), dtype=np.int64)
             run_each(np.array([self._rows[row].address for row in rows], dtype=np.uint64), found)
+        errors = list[BaseException]()
         for row, each in zip(rows, found.tolist(), strict=True):
             if each != PAUSED:
-                self.outcomes[row] = self._rows[row].fly_on(each)
+                try:
+                    self.outcomes[row] = self._rows[row].fly_on(each)
+                except BaseException as error:  # the other rows of the part fly on
+                    self.outcomes[row] = self._rows[row].outcome = "failed"
+                    if not isinstance(error, Exception):
+                        raise
+                    errors.append(error)
+        if errors:
+            raise errors[0]
 
     def _check_commands(self) -> None:
         for name, (low, high) in RANGES.items() if self._commanded.any() else ():
@@ -215,6 +235,7 @@ class Batch:
 
     def metrics(self, row: int) -> Metrics:
         """Return the metrics of a row up to now; of a flight that goes on, "interrupted"."""
+        self._exclusive.check("metrics")
         return self._rows[self._checked(row)].metrics()
 
     def depends_on_seed(self, row: int) -> bool:
@@ -225,6 +246,7 @@ class Batch:
         """Return all events of a row up to now."""
         return self._rows[self._checked(row)].events.all
 
+    @exclusive
     def reset(self, rows: Sequence[int] | None = None, seeds: Sequence[int] | None = None) -> None:
         """Return rows to their starts.
 
@@ -235,12 +257,15 @@ class Batch:
         Raises:
             InputError: there is no such row, or a seed is wrong.
         """
-        chosen = range(len(self)) if rows is None else [self._checked(row) for row in rows]
-        if seeds is not None and len(seeds) != len(chosen):
-            raise InputError(f"seeds: has {len(seeds)} (write {len(chosen)}, one for each row)")
+        chosen = list(range(len(self)))
+        if rows is not None:
+            chosen = [self._checked(row) for row in check_list("rows", rows, "numbers of rows")]
         new = [self.seeds[row] for row in chosen]
         if seeds is not None:
-            new = [check_argument("seeds", seed, Header, "seed") for seed in seeds]
+            given = check_list("seeds", seeds, "whole numbers")
+            if len(given) != len(chosen):
+                raise InputError(f"seeds: has {len(given)} (write {len(chosen)}, one for each row)")
+            new = [check_argument("seeds", seed, Header, "seed") for seed in given]
         for row, seed in zip(chosen, new, strict=True):
             if not self._rows[row].reset(seed):
                 self._rebuild(row, seed)
@@ -266,6 +291,13 @@ class Batch:
         if isinstance(row, int | np.integer) and not isinstance(row, bool) and 0 <= row < len(self):
             return int(row)
         raise InputError(f"row: is {shown_value(row)} (write a number from 0 to {len(self) - 1})")
+
+    def _why_not_copied(self) -> str:
+        """See `NotCopied`: compiled code has the addresses of the rows."""
+        return (
+            f"the batch of {self._scenarios[0].name} cannot be copied or pickled (make another "
+            "one, with the same seeds, and give it the same commands)"
+        )
 
     def __repr__(self) -> str:
         """Describe the batch in one line."""
@@ -365,33 +397,47 @@ def _row_scenarios(
     duration_s: float | None,
 ) -> list[Scenario]:
     """Return the scenario of each row."""
-    for name, each in (("seeds", seeds), ("rows", rows)):
-        if each is not None and (isinstance(each, str) or not isinstance(each, Sized)):
-            raise InputError(f"{name}: is {shown_value(each)} (write a list, one for each row)")
+    own_seeds = None if seeds is None else check_list("seeds", seeds, "one for each row")
+    settings = None if rows is None else check_list("rows", rows, "one for each row")
     if isinstance(scenario, list | tuple):
         if overrides or rows is not None or not all(isinstance(e, Scenario) for e in scenario):
             raise InputError("scenario: is a list (write scenarios alone, without overrides, rows)")
-        if not scenario or (seeds is not None and len(seeds) != len(scenario)):
+        if not scenario or (own_seeds is not None and len(own_seeds) != len(scenario)):
             raise InputError("seeds: write one seed for each scenario, and at least one scenario")
-        own_seeds = [None] * len(scenario) if seeds is None else seeds
         return [
             find_loaded(each, (), duration_s=duration_s, seed=seed)
-            for each, seed in zip(scenario, own_seeds, strict=True)
+            for each, seed in zip(scenario, own_seeds or [None] * len(scenario), strict=True)
         ]
-    assert not isinstance(scenario, Sequence) or isinstance(scenario, str), "else it is a list"
     texts = check_overrides("overrides", overrides)
-    own = [()] if rows is None else [check_overrides(f"rows[{k}]", e) for k, e in enumerate(rows)]
-    if seeds is not None and rows is None:
-        own = [()] * len(seeds)
-    if not own or (seeds is not None and len(seeds) != len(own)):
+    own = [check_overrides(f"rows[{k}]", each) for k, each in enumerate(settings or [()])]
+    if own_seeds is not None and settings is None:
+        own = [()] * len(own_seeds)
+    if settings == [] or not own or (own_seeds is not None and len(own_seeds) != len(own)):
         raise InputError("rows, seeds: write one seed for each row, and at least one row")
     known: dict[tuple[str, ...], Scenario] = {}
     found = []
     for k, each in enumerate(own):
         if each not in known:
-            known[each] = find_loaded(scenario, (*texts, *each), duration_s=duration_s)
-        found.append(known[each] if seeds is None else set_seed(known[each], seeds[k]))
+            one: Any = scenario  # of any type, which is checked there
+            known[each] = find_loaded(one, (*texts, *each), duration_s=duration_s)
+        found.append(known[each] if own_seeds is None else set_seed(known[each], own_seeds[k]))
     return found
+
+
+def _as_times(until: object) -> NDArray[Any] | None:
+    """Return a number or numbers as an array; None: they are none."""
+    listed = until if isinstance(until, list | tuple) else [until]
+    if any(isinstance(each, bool | np.bool_) for each in listed):
+        return None
+    try:
+        times = np.asarray(until)
+    except (TypeError, ValueError, OverflowError):  # lists of different lengths
+        return None
+    return times.astype(float) if times.dtype.kind in "fiu" else None
+
+
+def _are_times(times: NDArray[Any]) -> bool:
+    return bool(((times >= 0.0) & (times <= MAX_DURATION_S)).all())
 
 
 def _processors() -> int:

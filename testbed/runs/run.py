@@ -275,8 +275,7 @@ def _fly(
             raise
         except BaseException as error:
             stop.begin_ending()
-            now = meter.summary()["simulated_s"]
-            errors.append(Event(now, "error", "run", f"failed: {error!r}"))
+            errors.append(Event(flight.begun_s, "error", "run", f"failed: {error!r}"))
             if directory and (directory / LOG_NAME).exists():
                 error.add_note(f"log: {directory}")
             raise

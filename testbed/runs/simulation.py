@@ -10,13 +10,14 @@ import weakref
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NoReturn, Self, SupportsIndex, TypeAlias
+from typing import Any, ClassVar, Self, TypeAlias
 
 import numpy as np
 from pydantic import Field
 
 from testbed.core.compile import reporting
-from testbed.core.errors import InputError, NotCopiedError
+from testbed.core.errors import InputError, NotCopied
+from testbed.core.exclusive import Exclusive, exclusive
 from testbed.core.records import Event, FbwaCommand, Observer, RunInfo, Sample
 from testbed.core.saved_state import SavedState
 from testbed.flight.loop import Flight
@@ -42,14 +43,15 @@ from testbed.scenario.validate import shown_value
 Commands: TypeAlias = "Mapping[str, FbwaCommand[float] | tuple[float, float, float]]"
 
 
-class Simulation:
+class Simulation(NotCopied):
     """A scenario that is flown step by step.
 
     Aircraft with `commanded_by: external` fly the fly-by-wire-A commands of `step`; all others fly
     as with `testbed run`, to the bit. In a `with` statement the log is closed at its end. If it is
     never closed, the log is finished with a ResourceWarning when the object or the program ends,
     and metrics are missing. A forked child must make a simulation of its own; copies and
-    pickles are refused.
+    pickles are refused, and so is a call while another thread is within one, or from a stage, an
+    observer or a law of the flight.
 
     Args:
         scenario: a scenario, or the name or path of one.
@@ -103,6 +105,7 @@ class Simulation:
                     f"{each.name} has autopilot: ardupilot, a program of its own (fly it with "
                     "testbed.run, or write autopilot: virtual)"
                 )
+        self._exclusive = Exclusive(f"the flight of {self.scenario.name}")
         self._further, self._progress = tuple(observers), progress
         self._flown = False
         self._open: list[Observer] = []  # observers that have begun
@@ -110,6 +113,7 @@ class Simulation:
         weakref.finalize(self, _finish_log, self._unclosed, os.getpid())
         self.reset(seed)
 
+    @exclusive
     def reset(self, seed: int | None = None) -> Sample:
         """Return to the start, and return the state there.
 
@@ -165,6 +169,7 @@ class Simulation:
         """Create the run directory of a flight that is built; None: nothing is written."""
         return open_run_directory(self.scenario, world, self._out) if self._out else None
 
+    @exclusive
     def step(self, commands: Commands | None = None, until: float | None = None) -> Sample:
         """Fly to the next tick of the autopilots, or up to a time, and return the state there.
 
@@ -193,7 +198,7 @@ class Simulation:
         try:
             self._advance(due)
         except BaseException:
-            self.outcome = "failed"
+            self.outcome, self.time_s = "failed", self._flight.begun_s
             raise
         return self.state
 
@@ -214,6 +219,7 @@ class Simulation:
             self.outcome = self._flight.ending
         self.time_s = self._flight.time_s
 
+    @exclusive
     def save(self) -> SavedFlight:
         """Save the flight as it is now, for `restore`.
 
@@ -235,6 +241,7 @@ class Simulation:
         state = SavedState(**of_user, flight=self._flight, meter=self._meter, events=self.events)
         return SavedFlight(self._flight, state, self.time_s, self.outcome)
 
+    @exclusive
     def restore(self, saved: SavedFlight) -> Sample:
         """Return to a saved moment of this flight, any number of times, and return the state there.
 
@@ -285,9 +292,11 @@ class Simulation:
     @property
     def metrics(self) -> Metrics:
         """The metrics up to now, as in metrics.json; of a flight that goes on, "interrupted"."""
+        self._exclusive.check("metrics")
         outcome, expect = self.outcome or "interrupted", self.scenario.expect
         return flight_metrics(self._world, self._meter, outcome, self._begun_s, expect)
 
+    @exclusive
     def close(self) -> None:
         """End the flight, and write log and metrics where there is a directory; repeatable."""
         self._end_observers()
@@ -328,13 +337,9 @@ class Simulation:
         """Close it."""
         self.close()
 
-    def __reduce_ex__(self, protocol: SupportsIndex) -> NoReturn:
-        """Refuse copies and pickles: the flight models are outside Python.
-
-        Raises:
-            NotCopiedError: always.
-        """
-        raise NotCopiedError(
+    def _why_not_copied(self) -> str:
+        """See `NotCopied`: the flight models are outside Python."""
+        return (
             f"the flight of {self.scenario.name} cannot be copied or pickled (make another one, "
             "with the same seed, and give it the same commands)"
         )
@@ -363,7 +368,7 @@ def _finish_log(unclosed: list[McapRecorder], process: int) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class SavedFlight:
+class SavedFlight(NotCopied):
     """A moment of a flight of a `Simulation`.
 
     Attributes:
@@ -373,10 +378,18 @@ class SavedFlight:
         outcome: how the flight had ended; None: it had not.
     """
 
+    CONSTANT: ClassVar[bool] = True  # for another state, of a flight that holds this one
     flight: Flight = field(repr=False)
     state: SavedState = field(repr=False)
     time_s: float
     outcome: str | None
+
+    def _why_not_copied(self) -> str:
+        """See `NotCopied`."""
+        return (
+            f"the flight as saved at {self.time_s:g} s cannot be copied or pickled: it belongs to "
+            "its Simulation (restore it there, as often as you like)"
+        )
 
 
 class StepArguments(Section):

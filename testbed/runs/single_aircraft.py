@@ -6,7 +6,8 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
-from testbed.core.errors import InputError
+from testbed.core.errors import InputError, NotCopied
+from testbed.core.exclusive import Exclusive, exclusive
 from testbed.core.records import (
     ActuatorCommand,
     AirData,
@@ -41,7 +42,7 @@ _AUTOPILOT_HZ = Rates().autopilot_hz
 _NAME = "aircraft"
 
 
-class Aircraft:
+class Aircraft(NotCopied):
     """An aircraft that flies pitch, roll and throttle, as ArduPlane in fly-by-wire A.
 
     It begins at the origin, in level flight at its airspeed.
@@ -107,8 +108,10 @@ class Aircraft:
         flight = resolve_single_aircraft(_flight(checked))
         with _argument_errors(f"{airspeed_mps:g}", altitude_m):
             self.simulation = Simulation(flight, progress=progress)
+        self._exclusive = Exclusive(f"the flight of {checked['aircraft']}")
         self._sample = self.simulation.state
 
+    @exclusive
     def step(
         self, pitch: float, roll: float, throttle: float, until: float | None = None
     ) -> VehicleState:
@@ -130,6 +133,7 @@ class Aircraft:
             raise InputError(str(error).removeprefix(f"{_NAME}: ")) from None
         return self.truth
 
+    @exclusive
     def reset(self, seed: int | None = None) -> VehicleState:
         """Return to the start, with another seed if there is one; return the motion there."""
         self._sample = self.simulation.reset(seed)
@@ -169,6 +173,13 @@ class Aircraft:
     def events(self) -> list[Event]:
         """All events up to now."""
         return self.simulation.events
+
+    def _why_not_copied(self) -> str:
+        """See `NotCopied`."""
+        return (
+            f"the flight of {self.simulation.scenario.aircraft[0].aircraft} cannot be copied or "
+            "pickled (make another Aircraft, with the same seed, and give it the same commands)"
+        )
 
     def __repr__(self) -> str:
         """Describe the flight in one line."""

@@ -102,6 +102,24 @@ def check_overrides(name: str, value: object) -> tuple[str, ...]:
     return texts
 
 
+def check_list(name: str, value: object, what: str) -> list[Any]:
+    """Return the elements of a list, tuple, range or array (n,).
+
+    Args:
+        name: of the argument, as errors begin.
+        value: of it; sets have no order, and texts and bytes are none of these.
+        what: its elements are, as the error says what to write.
+
+    Raises:
+        InputError: it is none.
+    """
+    if getattr(value, "ndim", None) == 1 and hasattr(value, "tolist"):  # of NumPy
+        return list(value.tolist())
+    if isinstance(value, list | tuple | range):
+        return list(value)
+    raise InputError(f"{name}: is {shown_value(value)} (write a list: {what})")
+
+
 def check_path(name: str, value: object) -> Path:
     """Return a path.
 

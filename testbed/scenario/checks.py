@@ -145,10 +145,6 @@ def _begin(scenario: Sections) -> Iterator[Finding]:
             "duration_s)",
         )
     for at, aircraft in _aircraft(scenario):
-        for index, fault in enumerate(aircraft.faults):
-            if fault.at_s is not None and fault.at_s < begin.at_s:
-                text = f"is before the flight begins, at {begin.at_s:g} s"
-                yield (*at, "faults", index, "at_s"), text
         if aircraft.commanded_by.kind == "external" or aircraft.autopilot.kind == "ardupilot":
             text = "is not for flights that begin with another one (write scenario.begin: null)"
             yield at, f"{aircraft.name} is commanded from outside or has an ArduPlane, which {text}"

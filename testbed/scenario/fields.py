@@ -5,7 +5,7 @@ evaluate each annotation from its text at every start.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 from pydantic import (
     AfterValidator,
@@ -33,6 +33,7 @@ Finding = tuple[KeyPath, str]
 class Section(BaseModel):
     """A map of a scenario: frozen; an unknown key is an error."""
 
+    CONSTANT: ClassVar[bool] = True  # no state of a flight; see core/saved_state.py
     model_config = ConfigDict(
         defer_build=True,  # models are built when first used: a start is 0.02 s shorter
         frozen=True,

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from testbed.core.errors import InputError
+from testbed.core.errors import InputError, NotCopied
 from testbed.core.records import Records
 from testbed.scenario import Scenario, load_scenario
 from testbed.scenario.arguments import check_overrides, check_path
@@ -25,7 +25,7 @@ from testbed.trials.steady_flight import build_compiled, steady_scenario
 SAME_COMMANDS = 2e-3  # rad, and of the throttle, between the steady commands of two sets of gains
 
 
-class GainScan:
+class GainScan(NotCopied):
     """A steady flight in which gains are changed.
 
     Args:
@@ -54,6 +54,13 @@ class GainScan:
         self._flight = fly_or_refuse(flown, bank_deg, climb_mps)
         self._maps = linearise(self._flight)
         self._fixed = _without_gains(flown)
+
+    def _why_not_copied(self) -> str:
+        """See `NotCopied`: it holds a flight."""
+        return (
+            f"the scan of {self._name} cannot be copied or pickled (make another one, with the "
+            "same arguments)"
+        )
 
     def formation(self, overrides: Sequence[str] = ()) -> LinearFormation:
         """Linearise the formation with other gains.

@@ -130,6 +130,22 @@ MAKES = {
         f"ExternalOptions {each.name}": lambda v, name=each.name: ExternalOptions(**{name: v})
         for each in fields(ExternalOptions)
     },
+    **{
+        f"Batch {name}": lambda v, name=name: testbed.Batch(
+            **{"scenario": "simulation-3", "duration_s": 0.1} | {name: v}
+        )
+        for name in ("scenario", "overrides", "seeds", "rows", "duration_s", "progress")
+    },
+    "Batch of a scenario": lambda v: testbed.Batch(WHOLE, seeds=v),
+    **{
+        f"Batch.{name} {key or ''}": lambda v, name=name, key=key: getattr(
+            testbed.Batch(WHOLE, seeds=[1, 2, 3]), name
+        )(**{key: v})
+        for name, key in (
+            *(("step", "until"), ("reset", "rows"), ("reset", "seeds"), ("metrics", "row")),
+            *(("events", "row"), ("scenario", "row")),
+        )
+    },
     "scenario": lambda v: testbed.Simulation(v),
     "FormationEnv": lambda v: FormationEnv(v),
     "load_scenario": lambda v: load_scenario(v),
@@ -330,3 +346,35 @@ def test_sections_are_copied_with_validation_only():
 def test_seed_of_the_scenario_is_a_whole_number():
     with pytest.raises(InputError, match=r"^seed: is 7\.0 \(write 7, a whole number"):
         set_seed(WHOLE, 7.0)
+
+
+@pytest.fixture(scope="module")
+def batch():
+    return testbed.Batch(SHORT, seeds=[1, 2, 3])
+
+
+@pytest.mark.parametrize(
+    ("function", "message"),
+    [
+        (lambda b: testbed.Batch("simulation-1", seeds={1, 2}), r"^seeds: is \{1, 2\} \(write a"),
+        (lambda b: testbed.Batch("simulation-1", rows={"a"}), r"^rows: is .* \(write a list"),
+        (lambda b: testbed.Batch("simulation-1", seeds=b"12"), r"^seeds: is .* \(write a list"),
+        (lambda b: testbed.Batch(b"simulation-1"), "simulation-1"),
+        (lambda b: testbed.Batch({"simulation-1"}), "simulation-1"),
+        (lambda b: b.reset(rows=5), r"^rows: is 5 \(write a list: numbers of rows\)"),
+        (lambda b: b.reset(seeds=5), r"^seeds: is 5 \(write a list: whole numbers\)"),
+        (lambda b: b.reset(rows="12"), r"^rows: is '12' \(write a list"),
+        (lambda b: b.reset(rows=[True]), "^row: is "),
+        (lambda b: b.step(1j), r"^until: is 1j \(write a time from 0"),
+        (lambda b: b.step(True), r"^until: is True \(write a time from 0"),
+        (lambda b: b.step([True, 1.0, 1.0]), r"^until: is .* \(write a time from 0"),
+        (lambda b: b.step({1.0}), r"^until: is .* \(write a time from 0"),
+        (lambda b: b.step([1, [2], 3]), r"^until: is .* \(write a time from 0"),
+        (lambda b: b.step(10**400), r"^until: is .* \(write a time from 0"),
+    ],
+)
+def test_argument_of_batch_is_named(function, message, batch):
+    before = batch.times_s.tolist(), batch.aircraft.tobytes(), list(batch.seeds)
+    with pytest.raises(InputError, match=message):
+        function(batch)
+    assert before == (batch.times_s.tolist(), batch.aircraft.tobytes(), batch.seeds)

@@ -7,6 +7,7 @@ import signal
 import struct
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from testbed.logs.read import read_log, replay, samples
 from testbed.logs.recorder import McapRecorder
 from testbed.metrics.observer import MetricsObserver
 from testbed.reports import figures
-from testbed.runs.recover import recover
+from testbed.runs.recover import _is_complete, recover
 from testbed.scenario import load_scenario
 
 MAGIC, CHUNK = 8, 6  # bytes of MCAP's magic, and the opcode of a chunk
@@ -186,3 +187,41 @@ def test_recover_failure_leaves_log_unchanged(fails, cut, monkeypatch):
         recover(run)
     assert log.read_bytes() == kept
     assert {each.name for each in run.iterdir()} == names
+
+
+def test_flipped_bits_are_never_read_as_numbers(tmp_path):
+    """At 50 places of the compressed data, drawn by a seed; zstd itself notices a part of them."""
+    testbed.run(
+        "simulation-3",
+        ["scenario.windows={}", "scenario.published=null"],
+        duration_s=3.0,
+        out=tmp_path / "run",
+    )
+    log = tmp_path / "run" / "run.mcap"
+    whole, places, at = log.read_bytes(), [], MAGIC
+    while at + HEAD.size < len(whole):
+        kind, length = HEAD.unpack_from(whole, at)
+        if kind == CHUNK:  # times, size, CRC, the name of the compression, size: 8+8+8+4+(4+4)+8
+            places += range(at + HEAD.size + 44, at + HEAD.size + length)
+        at += HEAD.size + length
+    assert len(places) > 10_000 and read_log(log).finished
+    rng = np.random.default_rng(447)
+    for place in rng.choice(places, 50, replace=False).tolist():
+        data = bytearray(whole)
+        data[place] ^= 1 << int(rng.integers(8))
+        log.write_bytes(data)
+        with pytest.raises(LogError, match=r"run\.mcap"):
+            read_log(log)
+
+
+def test_log_without_a_sample_is_not_complete():
+    """The event is that of the recovery, which the new log has in addition."""
+
+    def log(samples, events, *, finished=True):
+        found = {"finished": finished, "metrics": {}, "events": [None] * events}
+        return SimpleNamespace(**found, tick=np.arange(samples))
+
+    assert _is_complete(log(9, 4), log(9, 3, finished=False))
+    for count, events in ((8, 4), (10, 4), (9, 3), (9, 5)):
+        assert not _is_complete(log(count, events), log(9, 3, finished=False))
+    assert not _is_complete(log(9, 4, finished=False), log(9, 3, finished=False))

@@ -595,3 +595,24 @@ def test_mean_throttle_of_known_samples():
     ]
     measured = measure(samples, run_info(followers=1))["mean_throttle"]
     assert measured == {"leader": pytest.approx(0.2), "uav1": pytest.approx(0.5)}
+
+
+@pytest.mark.parametrize("missing", [0, 1, 2, 5])
+def test_window_that_lacks_samples_is_not_complete(missing):
+    """But for one, which a window that ends between two samples may lack."""
+    end_s = 50 / FRAME_RATE_HZ
+    samples = [make_sample(k, np.ones((2, 3))) for k in range(50 - missing)]
+    window = measure(samples, run_info(windows={"all": (0.0, end_s)}))["windows"]["all"]
+    assert window["covered_s"] == pytest.approx((50 - missing) / FRAME_RATE_HZ, rel=1e-14)
+    assert window["complete"] == (missing <= 1)
+
+
+def test_sums_of_a_later_start_have_the_same_spans():
+    """The same bits in a window that both have; spans counted from the first sample differ."""
+    samples = [*random_run(3 * SPAN, 3)]
+    some = {"late": (samples[SPAN // 2].time_s, samples[-1].time_s)}
+
+    def late(first):
+        return measure(samples[first:], run_info(3, windows=some))["windows"]["late"]
+
+    assert late(0)["rms_m"] == late(SPAN // 3)["rms_m"] == late(SPAN // 2)["rms_m"]

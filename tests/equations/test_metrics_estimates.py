@@ -227,3 +227,18 @@ def test_lines_on_estimates():
         "tilt 1.2°, heading 1.2°",
         "relative to leader 0.50 m",
     ]
+
+
+def test_relative_error_ends_with_the_leader():
+    """Of a constant 3 m, of which samples without a slot are no part: neither of sum nor count."""
+    samples = [
+        with_estimates(
+            still(k, lost=(0,) if k >= 30 else (2,) if k >= 20 else ()),
+            # that of the leader is 1 m; after its loss 50 m
+            position=[[0.0, 1.0 if k < 30 else 50.0, 0.0], [0.0, 4.0, 0.0], [0.0, 4.0, 0.0]],
+        )
+        for k in range(80)
+    ]
+    relative = measure(samples, run_info())["relative_position_error_m"]
+    # positions of 100 m know differences to 1e-14 m
+    assert relative == pytest.approx({"uav1": 3.0, "uav2": 3.0}, abs=1e-12)
