@@ -146,7 +146,7 @@ def copy_state(source: object, target: object) -> None:
                 other[...] = one
             continue
         for name, (a, b), write in _parallel_parts((one, other), path):
-            if not _is_value(a):
+            if not isinstance(a, (*_CONSTANT, frozenset)):
                 waiting.append((a, b, f"{path}{name}"))
             elif write is not None:
                 write(a)
