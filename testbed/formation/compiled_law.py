@@ -28,7 +28,7 @@ from testbed.core.records import (
     allocate,
 )
 from testbed.formation.law import FormationConfig
-from testbed.formation.message_extrapolation import message_time, moved, timed_out
+from testbed.formation.message_extrapolation import dead_reckon, message_time, timed_out
 
 F = TypeVar("F", bound=Callable[..., Any])
 LawOptions: TypeAlias = tuple[bool | int | float | tuple[float, ...], ...]
@@ -508,7 +508,7 @@ def give_inputs(
                 inbox.euler_rates[k, j, axis] = nan if excluded else link.euler_rates[axis]
             if extrapolates and not (excluded or timed_out(link, now, other.timeout_s)):
                 dt = now - message_time(law, link)
-                position, velocity = moved(link, dt, law.with_acceleration, 1.0)
+                position, velocity = dead_reckon(link, dt, law.with_acceleration, 1.0)
                 inbox.stamp_s[k, j] = inbox.received_s[k, j] = now
                 for axis in range(3):
                     inbox.position_ned[k, j, axis] = position[axis]

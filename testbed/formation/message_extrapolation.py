@@ -46,11 +46,11 @@ def extrapolate(law: Record, link: Record, now: float) -> Values:
         Position, m, and velocity, m/s, NED; the velocity is horizontal for the horizontal variant.
     """
     vertical_weight = 0.0 if law.horizontal else 1.0
-    return moved(link, now - message_time(law, link), law.with_acceleration, vertical_weight)
+    return dead_reckon(link, now - message_time(law, link), law.with_acceleration, vertical_weight)
 
 
 @kernel
-def moved(link: Record, dt: float, with_acceleration: bool, vertical_weight: float) -> Values:
+def dead_reckon(link: Record, dt: float, with_acceleration: bool, vertical_weight: float) -> Values:
     """Return position, m, and velocity, m/s, NED, of a message a time dt, s, after it.
 
     Args:

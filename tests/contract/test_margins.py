@@ -369,7 +369,7 @@ def test_remedies_of_what_cannot_be_linearised(override, about, remedy, texts):
 def test_remedy_of_margins_is_the_flown_method(monkeypatch):
     """An aircraft that JSBSim flies: the error names why, and a method that accepts it."""
     why = "aircraft/GBSap.xml:58: <sensor> is not translated; the aircraft is flown by JSBSim"
-    monkeypatch.setattr(vehicles, "find_engines", lambda folders, rate_hz, engine: ((), why))
+    monkeypatch.setattr(vehicles, "make_compiled_fleet", lambda *_: (None, why))
     scenario = load_scenario("simulation-3")
     with pytest.raises(InputError, match="--method flown") as caught:
         _predict(0.0, 0.0, scenario)

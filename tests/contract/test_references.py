@@ -413,7 +413,7 @@ def test_files_of_all_levels_are_found(tmp_path, monkeypatch, design):
     assert set(names) <= found
 
 
-def test_file_that_changes_while_a_study_is_flown_is_named(tmp_path, monkeypatch):
+def test_file_changed_during_a_study_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr(
         "testbed.studies.flight_pool._open_workers", lambda *_: small_study.InThisProcess()
     )
