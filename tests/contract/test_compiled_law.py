@@ -17,7 +17,7 @@ from testbed.core.compile import cache_folder
 from testbed.core.errors import FlightError, InputError
 from testbed.core.records import AIRCRAFT, LINK, Inbox, NedOrigin, VehicleState, allocate
 from testbed.formation.compiled_law import CompiledLaw, give_inputs
-from testbed.formation.control_step import Hbh23Law
+from testbed.formation.control_step import CONTROLLER, Hbh23Law
 from testbed.formation.hbh23 import NEIGHBOUR
 from testbed.logs.read import read_log
 from testbed.plan.control import build_control
@@ -84,9 +84,10 @@ def differences(ours, theirs):
 
 
 def config_of(name="simulation-3"):
+    """The configuration, what was read for its fields (nothing is noted), and the built-in law."""
     page = load_scenario(name)
     built = build_control(resolve(page), page.controller, build_clock(page))
-    return built.config, Hbh23Law(built.controllers["law"], built.neighbours)
+    return built.config, {}, Hbh23Law(built.controllers["law"], built.neighbours)
 
 
 @pytest.fixture(scope="module")
@@ -207,22 +208,33 @@ def test_law_that_fails_with_its_own_memory_is_refused(tmp_path, configured):
     assert "four steps" in law_error(name, configured)
 
 
-def test_excluded_sender_gives_no_number():
-    """Every field of its message is NaN, and the numbers of the others are those of the links."""
+@pytest.mark.parametrize("extrapolates", [False, True])
+def test_excluded_sender_gives_no_number(extrapolates):
+    """Every field of its message is NaN, and the numbers of the others are those of the links.
+
+    Extrapolated are position and velocity of the others, whose message is then one of the present.
+    """
     n, aircraft = 2, 3
     states, links = allocate(AIRCRAFT, aircraft), allocate(LINK, n, aircraft)
     neighbours = allocate(NEIGHBOUR, n, aircraft)
     for name in Inbox._fields:
         links[name] = np.arange(1.0, 1.0 + links[name].size).reshape(links[name].shape)
-    neighbours["excluded"][1, 2] = True
+    expected, now = {name: links[name].copy() for name in Inbox._fields}, 20.0
+    if extrapolates:
+        dt = now - links["received_s"][..., np.newaxis]
+        expected["position_ned"] += dt * links["velocity_ned"]
+        expected["stamp_s"][:] = expected["received_s"][:] = now
+    neighbours["excluded"][1, 2], neighbours["timeout_s"] = True, np.inf
+    controllers = allocate(CONTROLLER, n)
     own = VehicleState(*np.zeros((5, n, 3)), *np.zeros((2, n)))
     inbox = Inbox(*np.zeros((2, n, aircraft)), *np.zeros((5, n, aircraft, 3)))
-    give_inputs(np.arange(n), states, links, neighbours, own, inbox)
+    known = np.arange(n), states, links, neighbours, controllers
+    give_inputs(*known, extrapolates, own, inbox, now)
     received = np.ones((n, aircraft), dtype=bool)
     received[1, 2] = False
     for name, values in inbox._asdict().items():
         assert np.isnan(values[1, 2]).all(), name
-        assert np.array_equal(values[received], links[name][received]), name
+        assert np.array_equal(values[received], expected[name][received]), name
 
 
 PRINT_STATE = """

@@ -119,10 +119,8 @@ def make_middle(n, *, altitude=np.nan, as_printed=False, dt=DT, **gains):
     """The middle loops of n agents with the paper's gains."""
     return MiddleLoop(
         gains=middle_gains(n, **gains),
-        airspeed_min=same(LOW, n),
-        airspeed_max=same(HIGH, n),
-        ground_speed_min=same(LOW, n),
-        ground_speed_max=same(HIGH, n),
+        speed_min=same(LOW, n),
+        speed_max=same(HIGH, n),
         altitude=np.ones(n) * altitude,
         airspeed_error_as_printed=as_printed,
         dt=dt,
