@@ -235,6 +235,8 @@ def _delay_lines(straight: Prediction) -> list[str]:
 
 
 def _limited(value: float, largest: float, digits: int) -> str:
+    if math.isnan(value):  # not predicted at this bank
+        return MISSING
     return f"{value:.{digits}f}" if math.isfinite(value) else f"> {largest:g}"
 
 

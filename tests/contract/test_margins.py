@@ -12,6 +12,7 @@ from commands import call_command, refuse_all
 from rich.console import Console
 
 from testbed.cli.margins import _table
+from testbed.cli.output import MISSING
 from testbed.core.errors import InputError
 from testbed.core.records import AIRCRAFT, allocate
 from testbed.flight.schedule import make_clock
@@ -395,6 +396,16 @@ def test_predicted_margins_are_beside_flown_ones():
     console = Console(width=80, file=io.StringIO())
     console.print(_table([flown], []))
     assert "9.68" not in console.file.getvalue() and "-27.5" in console.file.getvalue()
+
+
+def test_margins_that_are_not_predicted_are_no_numbers():
+    """Of `--method both`, at a bank at which the prediction has a problem."""
+    other = {name: FlownMargins(9.5, 0.5982) for name in COMMANDS}
+    flown = Margins(30.0, (FollowerMargins("uav1", -27.5, None, None, other),), "", "")
+    console = Console(width=80, file=io.StringIO())
+    console.print(_table([flown], [Prediction(30.0, (), "not steady", ())]))
+    rows = [line.split() for line in console.file.getvalue().splitlines() if "roll" in line]
+    assert rows == [["roll", MISSING, "9.50", MISSING, "0.598"]]
 
 
 def test_margins_command_predicts(tmp_path):
