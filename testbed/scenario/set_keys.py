@@ -86,6 +86,10 @@ class SetKeys:
                 kept.append(each)
         return SetKeys(tuple(kept))
 
+    def without(self, section: Keys) -> SetKeys:
+        """Return the keys that are not in a section."""
+        return SetKeys(tuple(k for k in self.keys if k.path[: len(section)] != section))
+
 
 @dataclass(frozen=True, slots=True)
 class UnusedKey:

@@ -14,7 +14,7 @@ from testbed.core.errors import InputError
 from testbed.formation.compiled_law import allocate_inputs
 from testbed.law import VehicleState, ground_speed_bounds
 from testbed.plan.world import build
-from testbed.scenario import ScenarioError, load_scenario
+from testbed.scenario import ScenarioError, load_scenario, set_duration
 from testbed.studies.plan import Plan, load_study
 from testbed.studies.plan_check import check_plan
 
@@ -209,6 +209,19 @@ def test_settings_without_effect_are_refused(name, setting, reason):
 )
 def test_settings_that_act_are_silent(name, settings):
     assert not build(load_scenario(name, settings)).unused
+
+
+def test_short_flights_need_no_answer_to_later_faults():
+    """The fault at 125 s is dropped, and its response with it; nothing else is."""
+    whole = load_scenario("engine-out-uav2")
+    assert not build(set_duration(whole, 10.0)).unused
+    assert not build(set_duration(whole, 126.0)).unused
+    for setting in ("air.wind.from_deg=90", "air.turbulence.intensity=light"):
+        with pytest.raises(ScenarioError, match="has no effect"):
+            build(set_duration(load_scenario("engine-out-uav2", [setting]), 10.0))
+    none = load_scenario("simulation-3", ["formation.on_failure.response=drop"])
+    with pytest.raises(ScenarioError, match=r"on_failure\.response: has no effect"):
+        build(set_duration(none, 10.0))
 
 
 def test_batches_and_studies_refuse_too(tmp_path):
