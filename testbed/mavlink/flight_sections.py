@@ -100,7 +100,7 @@ def _no_interval(log: FlightLog, time: Array, mode: str, begin: float, end: floa
     modes = ", ".join(f"{mode_name(m.mode)} {m.start:.1f} to {m.end:.1f}" for m in log.modes)
     between = " between --from and --to" if np.isfinite([begin, end]).any() else ""
     return (
-        f"{log.path}: nothing in {mode}{between}; it has attitude from "
+        f"{log.path}: nothing in {mode} mode{between}; it has attitude from "
         f"{time[0]:.1f} to {time[-1]:.1f} s and the modes {modes or '(none logged)'}; write "
         "another --mode, or --mode any"
     )
