@@ -103,6 +103,27 @@ def check_airframe(folder: Path) -> None:
     raise_faults([*faults, *pair_faults(folder.name, parts)])
 
 
+def has_planet(main: Path) -> bool:
+    """Return whether the main file of an aircraft has a planet, which JSBSim would take."""
+    found: list[int] = []
+    depth = 0
+    parser = expat.ParserCreate()
+
+    def begin(name: str, _: Mapping[str, str]) -> None:
+        nonlocal depth
+        depth += 1
+        if depth == 2 and name == "planet":
+            found.append(parser.CurrentLineNumber)
+
+    def end(_: str) -> None:
+        nonlocal depth
+        depth -= 1
+
+    parser.StartElementHandler, parser.EndElementHandler = begin, end
+    parser.Parse(_content(main), True)
+    return bool(found)
+
+
 def raise_faults(faults: Sequence[AirframeFault]) -> None:
     """Raise the faults of an aircraft, if there are any.
 

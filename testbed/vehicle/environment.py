@@ -49,10 +49,10 @@ def load_planet(fdm: Any) -> None:  # noqa: ANN401
     """Load the planet: the Earth, WGS 84 with J2.
 
     It resets all models of JSBSim, so it comes before the aircraft: of a loaded one, the limits of
-    the stall's hysteresis would be lost.
+    the stall's hysteresis would be lost. It comes again after an aircraft with a planet of its own.
 
     Args:
-        fdm: JSBSim's FGFDMExec without a model.
+        fdm: JSBSim's FGFDMExec.
     """
     fdm.load_planet(str(_EARTH), False)
 

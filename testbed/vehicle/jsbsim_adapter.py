@@ -29,7 +29,7 @@ from testbed.vehicle.airframe_measurement import (
     lift_slope,
     measured_airframe,
 )
-from testbed.vehicle.airframe_validation import MAX_BYTES, probe_in_copy
+from testbed.vehicle.airframe_validation import MAX_BYTES, has_planet, probe_in_copy
 from testbed.vehicle.control_surfaces import ControlGeometry, find_control_geometry
 from testbed.vehicle.environment import INTEGRATORS, Integrators, load_planet
 from testbed.vehicle.inertia import impossible_inertia, unlikely_inertia
@@ -369,6 +369,9 @@ def load_executive(folder: Path) -> jsbsim.FGFDMExec:
     load_planet(fdm)
     if not fdm.load_model(folder.name):
         raise AircraftError("JSBSim cannot load it")
+    # `check_airframe` refuses such an aircraft; unchecked, it still does not replace the Earth
+    if has_planet(folder / f"{folder.name}.xml"):
+        load_planet(fdm)
     fdm.disable_output()
     return fdm
 
