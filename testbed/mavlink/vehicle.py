@@ -26,7 +26,12 @@ from testbed.mavlink.vehicle_control import FlightMode, VehicleControl
 COMPONENT = 1  # an autopilot
 HEARTBEAT_S = 1.5  # wall-clock s: keeps a run that waits visible to ground stations
 _BROADCAST = 0
-_ANSWERS = "_ACK", "_VALUE", "_RESPONSE", "_DATA"  # ends of names
+# Words in the names of messages that command or ask for something; others report.
+_COMMANDS = frozenset(
+    ("CHANGE", "COMMAND", "CONFIG", "CONFIGURE", "CONTROL", "ERASE", "FETCH", "INJECT", "MAP")
+    + ("MODIFY", "PLAY", "POINT", "READ", "REQUEST", "SET", "SETUP", "START", "WRITE")
+)
+_ANSWER = "_ACK"
 _MAX_REFUSED = 1000  # kinds of messages and senders
 _ATTITUDE = " (send SET_ATTITUDE_TARGET, or DO_REPOSITION in GUIDED)"
 _IN_PLACE = dict.fromkeys(
@@ -88,11 +93,12 @@ class MavlinkVehicle:
         return replies
 
     def _refuse(self, message: Message) -> list[OutgoingMessage]:
-        """Answer a message that asks for something and has no handler: once for each sender.
+        """Answer a message that commands something and has no handler: once for each sender.
 
-        What names no vehicle asks for nothing, and answers are not answered.
+        Reports, as of a gimbal, answers, and what names no vehicle are not answered.
         """
-        if "target_system" not in message.fields or message.name.endswith(_ANSWERS):
+        commands = not _COMMANDS.isdisjoint(message.name.split("_"))
+        if not commands or message.name.endswith(_ANSWER) or "target_system" not in message.fields:
             return []
         key = message.system, message.component, message.name
         if key in self._refused or len(self._refused) >= _MAX_REFUSED:

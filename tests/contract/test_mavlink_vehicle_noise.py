@@ -158,10 +158,35 @@ def test_absurd_messages_give_finite_commands(without_sample):
             assert 0.0 <= command.throttle <= 1.0
 
 
-def test_unknown_messages_are_not_answered():
+# Messages to a vehicle that command or ask for something and that it does not handle.
+COMMANDS = set(
+    """
+    AUTOPILOT_VERSION_REQUEST CAN_FILTER_MODIFY CHANGE_OPERATOR_CONTROL
+    CUBEPILOT_FIRMWARE_UPDATE_START DEVICE_OP_READ DEVICE_OP_WRITE DIGICAM_CONFIGURE
+    DIGICAM_CONTROL FENCE_FETCH_POINT FENCE_POINT GIMBAL_CONTROL GIMBAL_DEVICE_SET_ATTITUDE
+    GIMBAL_MANAGER_SET_ATTITUDE GIMBAL_MANAGER_SET_MANUAL_CONTROL GIMBAL_MANAGER_SET_PITCHYAW
+    GOPRO_GET_REQUEST GOPRO_SET_REQUEST GPS_INJECT_DATA LED_CONTROL LOG_ERASE LOG_REQUEST_DATA
+    LOG_REQUEST_END MOUNT_CONFIGURE MOUNT_CONTROL OSD_PARAM_CONFIG OSD_PARAM_SHOW_CONFIG
+    PARAM_EXT_REQUEST_LIST PARAM_EXT_REQUEST_READ PARAM_EXT_SET PARAM_MAP_RC PLAY_TUNE
+    RALLY_FETCH_POINT RALLY_POINT SAFETY_SET_ALLOWED_AREA SECURE_COMMAND SETUP_SIGNING
+    SET_ACTUATOR_CONTROL_TARGET SET_GPS_GLOBAL_ORIGIN SET_HOME_POSITION SET_MAG_OFFSETS
+    SET_POSITION_TARGET_GLOBAL_INT SET_POSITION_TARGET_LOCAL_NED
+    """.split()
+)
+
+
+def test_only_commands_are_answered_and_once():
+    """With any content; of a client that sends each unhandled message without an end."""
     rng = random.Random(SEED + 2)
     control = RecordingControl()
     vehicle = MavlinkVehicle(control, 1, 0, info(), 0)
+    answered = set()
     for name in sorted(codec_module._numbers_by_name().keys() - vehicle._handlers.keys()):
-        assert vehicle.handle(absurd(name, rng), 0.0) == []
+        for repeated in range(4):
+            fields = absurd(name, rng).fields
+            replies = vehicle.handle(Message(name, 255, 190, 0, fields), 0.0)
+            if replies:
+                assert {each.name for each in replies} == {"STATUSTEXT"} and repeated == 0
+                answered.add(name)
+    assert answered == COMMANDS
     assert control.calls == []
