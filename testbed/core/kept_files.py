@@ -183,15 +183,14 @@ def _read_trusted(folder: int, name: str) -> bytes:
 def _distrust(path: Path, handle: int, place: Place) -> str:
     """Return why an open folder is not used; empty: no other user may write it.
 
-    In its parent other users may write if its sticky bit is set, as in /tmp: they can neither
-    rename nor remove the folder there.
+    In its parent other users may write if its sticky bit is set, as in /tmp: only the parent's owner,
+    who is trusted, could rename or remove the folder there.
     """
     parent = path.parent
     above, status = os.stat(parent), os.fstat(handle)
     owned = "write a folder of your own to NUMBA_CACHE_DIR"
     for each, found in ((parent, above), (path, status)):
-        sticky = each == parent and found.st_mode & stat.S_ISVTX
-        if not sticky and not _is_owner_trusted(found):
+        if not _is_owner_trusted(found):
             return f"{path} is not used: {each} belongs to {_user_name(found.st_uid)} ({owned})"
     if not above.st_mode & stat.S_ISVTX and _may_others_write(above, parent):
         return (

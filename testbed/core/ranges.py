@@ -88,7 +88,7 @@ RECORDED: Mapping[str, Range] = {
     "longitude_deg": LONGITUDE,
     **dict.fromkeys(("height_m", "altitude_m", "north_m", "east_m", "down_m"), POSITION),
     **dict.fromkeys(("v_north_mps", "v_east_mps", "v_down_mps"), VELOCITY),
-    **dict.fromkeys(("wind_north_mps", "wind_east_mps"), GUST_SPEED),
+    **dict.fromkeys(("wind_north_mps", "wind_east_mps"), WIND_COMPONENT),
     **dict.fromkeys(("ground_speed_mps", "airspeed_mps"), AIRSPEED),
     **dict.fromkeys(("roll_rad", "phi_rad", "course_rad"), TURN),
     **dict.fromkeys(("pitch_rad", "theta_rad", "theta_cmd_rad"), PITCH),
