@@ -183,8 +183,8 @@ def _read_trusted(folder: int, name: str) -> bytes:
 def _distrust(path: Path, handle: int, place: Place) -> str:
     """Return why an open folder is not used; empty: no other user may write it.
 
-    In its parent other users may write if its sticky bit is set, as in /tmp: only the parent's owner,
-    who is trusted, could rename or remove the folder there.
+    In its parent other users may write if its sticky bit is set, as in /tmp: only the parent's
+    owner, who is trusted, could rename or remove the folder there.
     """
     parent = path.parent
     above, status = os.stat(parent), os.fstat(handle)

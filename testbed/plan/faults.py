@@ -21,14 +21,14 @@ from testbed.vehicle.fleet import FlightModels
 
 
 def build_faults(
-    fleet: Fleet, models: FlightModels | None, declared_after_s: float
+    fleet: Fleet, models: FlightModels | None, response: OnFailure
 ) -> FaultManager | None:
     """Build the faults of a fleet; None if it has none.
 
     Args:
         fleet: the N aircraft.
         models: its JSBSim models.
-        declared_after_s: s, from the beginning of a fault.
+        response: to failures; when they are declared.
 
     Raises:
         InputError: an aircraft has no part for its fault.
@@ -45,7 +45,7 @@ def build_faults(
     return FaultManager(
         names,
         faults,
-        declared_after_s,
+        response.declared_after_s,
         lambda row, fault: _has_effect(fault, aircraft[row]),
     )
 

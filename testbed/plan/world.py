@@ -134,6 +134,12 @@ def build(
     with recorded_reads(scenario, (FormationConfig,)) as reads:
         world = _build(scenario, commanded, in_process, records, arduplane, processes)
     found = unused_keys(scenario, scenario.set_keys, reads)
+    uncut = scenario.set_keys.uncut
+    if found and isinstance(uncut, Scenario):  # they may act with a fault that is left out
+        with recorded_reads(uncut, (FormationConfig,)) as whole:
+            _build(uncut, commanded, in_process, None, arduplane, processes)
+        unread = {each.key.group for each in unused_keys(uncut, uncut.set_keys, whole)}
+        found = [each for each in found if each.key.group in unread]
     use = KeyUse()
     use.add(scenario.set_keys, found)
     if use.refused and unused == "refuse":
@@ -205,7 +211,7 @@ def _build(
     radio, outages = build_radio(
         names, scenario.network, received_weights(fleet, scenario.network), origin, seed, links
     )
-    faults = build_faults(fleet, vehicles.fleet, on_failure.declared_after_s)
+    faults = build_faults(fleet, vehicles.fleet, on_failure)
     external, array = None, None
     for each in fleet.aircraft:
         if each.takes_commands:  # how they come is not known before the flight

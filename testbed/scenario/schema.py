@@ -109,10 +109,7 @@ def set_duration(scenario: Scenario, duration_s: float) -> Scenario:
         dropped[(*path, "faults")] = late
     try:
         changed = Scenario.model_validate(data)
-        keys = scenario.set_keys.without_faults(dropped)
-        if any(dropped.values()) and not any(each.faults for each in changed.aircraft):
-            keys = keys.without(("formation", "on_failure"))  # it answers to faults that are gone
-        return changed.with_set_keys(keys)
+        return changed.with_set_keys(scenario.set_keys.without_faults(dropped, scenario))
     except ValidationError as error:
         reason = error.errors()[0]["msg"].removeprefix("Value error, ")
         raise InputError(f"duration_s: {duration_s:g} s: {reason}") from None

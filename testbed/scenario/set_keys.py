@@ -57,9 +57,16 @@ class SetKey:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SetKeys:
-    """All keys that the user has set. It does not decide whether two scenarios are equal."""
+    """All keys that the user has set. It does not decide whether two scenarios are equal.
+
+    Args:
+        keys: in the order of the scenario.
+        uncut: the scenario before faults were left out that begin after its flight; None: it has
+            all. A key that acts with such a fault is none without effect.
+    """
 
     keys: tuple[SetKey, ...] = ()
+    uncut: Sections | None = None
 
     def __eq__(self, other: object) -> bool:
         """Return that they are equal: the same scenario may come from other files."""
@@ -69,7 +76,7 @@ class SetKeys:
         """Return what is equal for equal ones."""
         return 0
 
-    def without_faults(self, dropped: Mapping[Keys, Sequence[int]]) -> SetKeys:
+    def without_faults(self, dropped: Mapping[Keys, Sequence[int]], uncut: Sections) -> SetKeys:
         """Return the keys where some faults are dropped, by the path of their list."""
         kept = []
         for each in self.keys:
@@ -84,11 +91,9 @@ class SetKeys:
                     break
             else:
                 kept.append(each)
-        return SetKeys(tuple(kept))
-
-    def without(self, section: Keys) -> SetKeys:
-        """Return the keys that are not in a section."""
-        return SetKeys(tuple(k for k in self.keys if k.path[: len(section)] != section))
+        if self.uncut is None and any(dropped.values()):
+            return SetKeys(tuple(kept), uncut)
+        return SetKeys(tuple(kept), self.uncut)
 
 
 @dataclass(frozen=True, slots=True)

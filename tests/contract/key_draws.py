@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -179,6 +180,24 @@ def scenario_of(draw, value):
         return load_scenario(draw.scenario, [f"{draw.key}={json.dumps(value)}"])
     except InputError:
         return None
+
+
+def made_by(draw):
+    """Return settings that make the section which only the key of a draw makes, without the key.
+
+    A sensor, for example, that the scenario does not have; none where the section needs the key.
+    """
+    data = json.loads(load_scenario(draw.scenario).model_dump_json(by_alias=True))
+    section = draw.key.rpartition(".")[0]
+    for part in section.split("."):
+        data = data[int(part)] if isinstance(data, list) else data.get(part)
+        if not isinstance(data, dict | list):
+            setting = f"{section}={{}}"
+            with suppress(InputError):
+                load_scenario(draw.scenario, [setting])
+                return (setting,)
+            break
+    return ()
 
 
 REFUSED = "refused"

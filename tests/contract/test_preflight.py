@@ -331,7 +331,10 @@ def test_tune_limit_out_of_reach_has_a_warning(tmp_path):
     limit, gyro = warnings("simulation-3", *real)
     assert limit == found
     assert gyro[1].startswith("uav2: SITL at rates.physics_hz 100 has a gyro filter of 2 Hz")
-    assert warnings("simulation-3", f"fleet.uav2.tune={wide}", "fleet.uav2.vehicle=unicycle") == []
+    ideal = load_scenario("simulation-3", [real[0], "fleet.uav2.vehicle=unicycle"])
+    assert build(ideal, unused="list").initial_events == ()
+    with pytest.raises(ScenarioError, match=r"fleet\.1\.tune: has no effect: uav2 is an ideal"):
+        build(ideal)
 
 
 CIRCLE = (

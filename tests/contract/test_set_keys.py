@@ -7,7 +7,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from key_draws import REFUSED, alternatives, candidates, draws, flies, flown, said, scenario_of
+from key_draws import (
+    REFUSED,
+    alternatives,
+    candidates,
+    draws,
+    flies,
+    flown,
+    made_by,
+    said,
+    scenario_of,
+)
 
 import testbed
 from testbed.core.errors import InputError
@@ -46,7 +56,10 @@ def describe_wait(consumers):
 
 
 def test_what_has_no_effect_is_said():
-    """Of drawn keys: a flight with the value and with both bounds, compared with one without."""
+    """Of drawn keys: a flight with the value and with both bounds, compared with one without.
+
+    That one has the section that the key is in: a key of a sensor makes the sensor, too.
+    """
     plain, waiting, wrong, count = {}, [], [], 0
     for draw in draws(SEED, 10 * COUNT, candidates()):
         scenario = scenario_of(draw, draw.value)
@@ -56,10 +69,11 @@ def test_what_has_no_effect_is_said():
             continue
         count += 1
         is_said, consumers = said(scenario)
-        if draw.scenario not in plain:
-            plain[draw.scenario] = flown(load_scenario(draw.scenario))
+        without = draw.scenario, made_by(draw)
+        if without not in plain:
+            plain[without] = flown(load_scenario(*without))
         differs = any(
-            each is REFUSED or flown(each) != plain[draw.scenario] for each in alternatives(draw)
+            each is REFUSED or flown(each) != plain[without] for each in alternatives(draw)
         )
         if is_said == differs and not (differs is False and describe_wait(consumers)):
             wrong.append((str(draw), is_said, sorted(consumers)))
@@ -187,6 +201,7 @@ WITHOUT = (
     ("simulation-3", "air.turbulence.intensity=light", "air.turbulence.model is none"),
     ("simulation-3", "network.loss={probability: 0, correlation: 0.5}", "no part of this flight"),
     ("simulation-3", "controller.gains.altitude.p=0.1", "no part of this flight"),
+    ("simulation-3", "formation.on_failure.declared_after_s=3", "no part of this flight"),
     ("own-law-leader-follower", "controller.gains.course.p=2", "neither it nor what flies its"),
 )
 
@@ -224,6 +239,16 @@ def test_short_flights_need_no_answer_to_later_faults():
         build(set_duration(none, 10.0))
 
 
+def test_keys_of_faults_after_a_shorter_flight():
+    """A flight that ends before its fault leaves it out, and not what answers it."""
+    answer = load_scenario("engine-out-uav2", ["formation.on_failure.response=drop"])
+    assert build(answer).faults and build(set_duration(answer, 10.0)).faults is None
+    assert not build(set_duration(set_duration(answer, 20.0), 10.0)).unused
+    wind = load_scenario("engine-out-uav2", ["air.wind.from_deg=90"])
+    with pytest.raises(ScenarioError, match="no wind blows"):
+        build(set_duration(wind, 10.0))
+
+
 def test_batches_and_studies_refuse_too(tmp_path):
     winds = [["air.wind.speed_mps=0"], ["air.wind.speed_mps=3"]]
     direction = ["air.wind.from_deg=90"]
@@ -232,7 +257,7 @@ def test_batches_and_studies_refuse_too(tmp_path):
         testbed.Batch("ideal-figure-eight", direction, rows=winds[:1] * 2)
     study = tmp_path / "study.yaml"
     text = (
-        "study: {schema: 2, name: study, scenario: ideal-figure-eight, seeds: [1],\n"
+        "study: {schema: 1, name: study, scenario: ideal-figure-eight, seeds: [1],\n"
         "  set: {air.wind.from_deg: 90}}\n"
         "vary: {air.wind.speed_mps: [0, SPEED]}\n"
     )
@@ -276,7 +301,9 @@ def test_the_extrapolated_inbox():
     rng = np.random.default_rng(3)
     links["received_s"], links["stamp_s"] = 9.9, 9.7
     links["received_s"][:, 2] = 1.0  # above the timeout of 5 s
-    links["position_ned"], links["velocity_ned"] = rng.normal(size=(2, *links.shape, 3))
+    vectors = ("position_ned", "velocity_ned", "acceleration_ned")
+    for name, values in zip(vectors, rng.normal(size=(3, *links.shape, 3)), strict=True):
+        links[name] = values
     inputs = allocate_inputs(*links.shape)
     control._inputs_call(control.groups[0], *inputs)(10.0)
     inbox = inputs[1]
