@@ -218,7 +218,8 @@ class CompiledLaw:
         names = (each for each in FollowerConfig._fields if each != "hbh23")
         values: Any = {each: _read_only(getattr(config, taken.get(each, each))) for each in names}
         # numba lets a law write fields of a record, also of an array that is read-only
-        given = np.frombuffer(hbh23.tobytes(), dtype=np.uint64).reshape(n, -1)  # read-only
+        plain = np.frombuffer(_without_padding(hbh23).tobytes(), dtype=np.uint64)  # read-only
+        given = plain.reshape(n, -1)
         self._gains, self._given = given.copy(), given
         used = self._gains.view(hbh23.dtype).reshape(n).view(type(hbh23))
         used.flags.writeable = False
@@ -271,6 +272,21 @@ class CompiledLaw:
         law = python_function(self._kernel)
         write_command(law(now, own, inbox, memory, one, *self._options), row, self.command)
         raise ValueError(f"an exception at {now:g} s, for follower {row + 1} of this law")
+
+
+def _without_padding(records: Records) -> Records:
+    """Copy records, with zeros between their fields, where there is any number otherwise."""
+    copied = np.zeros(records.shape, dtype=records.dtype)
+    _copy_fields(records, copied)
+    return copied
+
+
+def _copy_fields(records: Records, copied: Records) -> None:
+    for name in records.dtype.names or ():
+        if copied[name].dtype.names:
+            _copy_fields(records[name], copied[name])
+        else:
+            copied[name] = records[name]
 
 
 def _read_only(value: Any) -> Any:  # noqa: ANN401
