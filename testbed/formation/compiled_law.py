@@ -218,8 +218,9 @@ class CompiledLaw:
         names = (each for each in FollowerConfig._fields if each != "hbh23")
         values: Any = {each: _read_only(getattr(config, taken.get(each, each))) for each in names}
         # numba lets a law write fields of a record, also of an array that is read-only
-        plain = np.frombuffer(_without_padding(hbh23).tobytes(), dtype=np.uint64)  # read-only
-        given = plain.reshape(n, -1)
+        plain = allocate(hbh23.dtype, n)
+        _copy_fields(hbh23, plain)
+        given = np.frombuffer(plain.tobytes(), dtype=np.uint64).reshape(n, -1)  # read-only
         self._gains, self._given = given.copy(), given
         used = self._gains.view(hbh23.dtype).reshape(n).view(type(hbh23))
         used.flags.writeable = False
@@ -274,19 +275,13 @@ class CompiledLaw:
         raise ValueError(f"an exception at {now:g} s, for follower {row + 1} of this law")
 
 
-def _without_padding(records: Records) -> Records:
-    """Copy records, with zeros between their fields, where there is any number otherwise."""
-    copied = np.zeros(records.shape, dtype=records.dtype)
-    _copy_fields(records, copied)
-    return copied
-
-
-def _copy_fields(records: Records, copied: Records) -> None:
-    for name in records.dtype.names or ():
-        if copied[name].dtype.names:
-            _copy_fields(records[name], copied[name])
+def _copy_fields(source: Records, target: Records) -> None:
+    """Copy records, without what is between their fields, which differs from flight to flight."""
+    for name in source.dtype.names or ():
+        if source[name].dtype.names is None:
+            target[name] = source[name]
         else:
-            copied[name] = records[name]
+            _copy_fields(source[name], target[name])
 
 
 def _read_only(value: Any) -> Any:  # noqa: ANN401

@@ -18,6 +18,7 @@ from testbed.core import saved_state
 from testbed.core.errors import InputError
 from testbed.core.samples import SampleBuffer
 from testbed.core.saved_state import SavedState, copy_state, take_changes
+from testbed.formation.compiled_law import CompiledLaw
 from testbed.metrics.accumulator import Accumulator
 from testbed.runs.recover import recover
 from testbed.scenario import dump, load_scenario, set_duration
@@ -228,3 +229,27 @@ def test_sets_are_saved_restored_and_copied():
     target = Held(names={7}, fixed=frozenset())
     copy_state(part, target)
     assert target.names == {1, 2} and target.names is not names and target.fixed == {3}
+
+
+def test_compiled_laws_ignore_what_is_between_fields(folder, monkeypatch):
+    """All flights get records that are equal field by field, not byte by byte."""
+    made = CompiledLaw.__init__
+
+    def filled(self, law, config, hbh23, *rest):
+        count.append(0)
+        data = np.full(hbh23.nbytes, 17 * len(count), dtype=np.uint8)
+        other = data.view(hbh23.dtype).view(type(hbh23))
+        for name in hbh23.dtype.names:
+            other[name] = hbh23[name]
+        made(self, law, config, other, *rest)
+
+    count: list[int] = []
+    monkeypatch.setattr(CompiledLaw, "__init__", filled)
+    (folder / "laws_of_pairs.py").write_text(begun_flights.LAWS)
+    path = folder / "first.yaml"
+    header = {"duration_s": 3.0, "windows": None, "published": None}
+    law = {"law": "laws_of_pairs:counting"}
+    path.write_text(json.dumps({"extends": "simulation-1", "scenario": header, "controller": law}))
+    simulation = testbed.Simulation(load_scenario(begin_as("first.yaml", 1.0, folder)))
+    simulation.step(until=3.0)
+    assert simulation.outcome == "completed" and len(count) > 2
