@@ -173,13 +173,15 @@ def take_changes(
         InputError: a part has changed that has a counterpart, into which it cannot be written; the
             text begins with its name.
     """
-    seen, left = set[int](), list[str]()
+    # pairs: one object there may be several here, such as a part that is shared later on
+    seen, left = set[tuple[int, int]](), list[str]()
     waiting = [(before[name], after[name], target[name], name) for name in reversed([*after])]
     while waiting:
         old, new, mine, path = waiting.pop()
-        if new is mine or id(new) in seen or _is_constant(new):
+        pair = id(new), id(mine)
+        if new is mine or pair in seen or _is_constant(new):
             continue
-        seen.add(id(new))
+        seen.add(pair)
         if not _are_alike(old, new, mine) or not _take_members(old, new, mine, path, left):
             if _has_changed(old, new, path):
                 _leave(old, new, mine, path, left)
