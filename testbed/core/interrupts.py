@@ -25,6 +25,7 @@ STOP_SIGNALS = signal.SIGINT, signal.SIGTERM
 _END = b"\0"  # no signal's number
 
 _signals: list[int] = []
+_REPEAT_S = 0.02
 _handled_s = [float("-inf")]  # when Python last handled a signal
 
 
@@ -44,9 +45,8 @@ def count_signals() -> Iterator[None]:
     for number in STOP_SIGNALS:
         if before[number] in defaults:  # keep another handler, or an ignored signal
             signal.signal(number, _interrupt)
-    # in a callback, as of weak references, it is lost but counted: no traceback
     hook = sys.unraisablehook
-    sys.unraisablehook = lambda lost: None if lost.exc_type is Interrupt else hook(lost)
+    sys.unraisablehook = lambda lost: _repeat() if lost.exc_type is Interrupt else hook(lost)
     try:
         with watch_compiled_code():
             yield
@@ -75,6 +75,22 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
     mark_handled()
     _signals.append(number)
     raise Interrupt
+
+
+def _repeat() -> None:
+    """Send the last signal again, whose exception Python ignores in a callback of a weak reference.
+
+    It is sent a moment later, by a thread: an exception within this function is ignored, too.
+    """
+    if _signals:
+        timer = threading.Timer(_REPEAT_S, _send, (_signals.pop(),))
+        timer.daemon = True
+        timer.start()
+
+
+def _send(number: int) -> None:
+    if signal.getsignal(number) is _interrupt:  # else the block has ended
+        os.kill(os.getpid(), number)
 
 
 @contextmanager

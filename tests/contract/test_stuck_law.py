@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+import weakref
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from commands import ROOT, children, environment, run_command
 from waiting import TIMEOUT_S, until
 
 from testbed.cli.main import main
+from testbed.core.interrupts import Interrupt, count_signals
 from testbed.logs.read import read_log
 
 WHOLE = "TESTBED_STUDIES" in os.environ
@@ -208,6 +210,28 @@ def test_new_aircraft_that_is_ended_leaves_nothing(tmp_path, number):
 
 def ended(command):
     return command.process.poll() is not None
+
+
+def test_signal_in_a_callback_is_not_lost():
+    """Python ignores what a callback of a weak reference raises: the signal is sent again."""
+
+    class Object:
+        pass
+
+    sent = []
+
+    def interrupt(reference):
+        sent.append(reference)
+        signal.raise_signal(signal.SIGTERM)
+
+    before = signal.getsignal(signal.SIGTERM)
+    with pytest.raises(Interrupt), count_signals():
+        held = Object()
+        reference = weakref.ref(held, interrupt)
+        del held
+        time.sleep(5.0)
+    assert sent == [reference]
+    assert signal.getsignal(signal.SIGTERM) is before
 
 
 def test_early_end_of_a_file_is_a_defect(monkeypatch, capsys):
