@@ -203,7 +203,7 @@ def test_changes_are_taken_over_by_kind():
     assert found["rng"].random() == np.random.default_rng(1).random()
 
 
-def test_object_that_becomes_shared_is_taken_over_at_each_place():
+def test_shared_object_is_taken_over_at_each_place():
     old, new, own = (Held(one=np.zeros(2), other=np.zeros(2)) for _ in range(3))
     new.one = new.other
     new.other[1] = 3.0
