@@ -35,7 +35,7 @@ def code_files(name: str) -> tuple[Path, ...]:
     module_name, _, _ = find_code(name).rpartition(":")
     try:
         origin = _origin(module_name)
-    except InputError:  # its flight says so
+    except InputError:  # reported by its flight
         return (Path(module_name),) if module_name.endswith(".py") else ()
     first = origin.resolve()
     root = _root(module_name, first)

@@ -62,7 +62,7 @@ def build_radio(
 
 
 def received_weights(fleet: FormationPlan, network: Network) -> Array:
-    """Return β (n, N, 3), which decides what followers receive where the network says so."""
+    """Return β (n, N, 3), which decides what followers receive with `receive: neighbours`."""
     return fleet.weights if network.receive == "neighbours" else fleet.all_weights
 
 

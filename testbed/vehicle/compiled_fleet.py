@@ -101,7 +101,7 @@ class _ProgressFailed(Exception):  # noqa: N818 - carries the error of a user's 
 
 
 def _guarded(progress: Progress | None) -> Progress | None:
-    """Return a progress function whose errors are told apart from those of compiling."""
+    """Return a progress function whose errors differ from those of compiling."""
     if progress is None:
         return None
 
