@@ -65,54 +65,10 @@ train: $(STAMP) $(TRAINING_STAMP)
 		PYTHONPATH="$$added$${PYTHONPATH:+:$$PYTHONPATH}" \
 		$(BIN)/python examples/hold_slot_training.py $(ARGS)
 
-# Everything: the tests, 1,000 starts of the theorem, statistics of air and network on more samples,
-# compiled flight models from 1,000 states and their functions at 100,000 arguments, broken MAVLink frames, flight logs and input files, aircraft that try to act, any arguments from Python,
-# numbers of a scenario at and beyond their bounds,
-# real time with nothing else running, a study whose processes are killed, flights whose machine code was damaged in 26 ways, 200 runs killed at random
-# moments and 200 stopped by two signals, the snippets of every docs page, laws of large formations, every
-# golden table, flights of all scenarios saved and restored, golden scenarios that compile nothing in flight, a policy trained to hold a slot,
-# every number of the pages but times, and a release built and flown from a new environment.
-check-all: test release
-	@TESTBED_STARTS=1000 $(BIN)/pytest -q tests/theorems/test_theorem_many_starts.py
-	@TESTBED_AIR_SAMPLES=60 $(BIN)/pytest -q -n $(JOBS) tests/equations/test_atmosphere_dryden.py \
-		tests/equations/test_atmosphere_von_karman.py tests/equations/test_atmosphere_field.py
-	@TESTBED_STATES=1000 $(BIN)/pytest -q tests/equations/test_compiled_states.py
-	@TESTBED_PACKETS=1000000 $(BIN)/pytest -q -n $(JOBS) tests/equations/test_network_loss.py \
-		tests/equations/test_network_delay.py tests/equations/test_network_queue.py \
-		tests/equations/test_network_keys.py
-	@TESTBED_PACKETS=10000 $(BIN)/pytest -q -n $(JOBS) tests/equations/test_network_statistics.py
-	@TESTBED_FRAMES=600000 $(BIN)/pytest -q -n $(JOBS) tests/contract/test_mavlink_codec_noise.py \
-		tests/contract/test_mavlink_vehicle_noise.py tests/contract/test_dataflash.py \
-		tests/truth/test_import_flight.py tests/equations/test_follow_target.py
-	@TESTBED_FRAMES=10000 $(BIN)/pytest -q tests/clients/test_storm.py
-	@TESTBED_IMPORTS=1000 $(BIN)/pytest -q tests/truth/test_import_identity.py
-	@TESTBED_FITS=20 $(BIN)/pytest -q tests/truth/test_airframe_fit.py
-	@TESTBED_MUTATIONS=20000 $(BIN)/pytest -q -n $(JOBS) tests/contract/test_mutations.py
-	@TESTBED_AIRCRAFT=2000 $(BIN)/pytest -q tests/contract/test_airframe_files.py
-	@TESTBED_RUN_DIRECTORIES=500 TESTBED_WRITE_ERRORS=300 $(BIN)/pytest -q -n $(JOBS) \
-		tests/contract/test_run_files_fuzz.py tests/contract/test_write_errors.py
-	@TESTBED_ARGUMENTS=2000 $(BIN)/pytest -q tests/contract/test_arguments.py
-	@TESTBED_NUMBERS=1 $(BIN)/pytest -q tests/contract/test_scenario_schema.py
-	@TESTBED_KEYS=200 $(BIN)/pytest -q tests/contract/test_set_keys.py
-	@TESTBED_QUIET=1 $(BIN)/pytest -q tests/clients/test_real_time.py
-	@TESTBED_WHOLE=1 $(BIN)/pytest -q -n $(JOBS) tests/golden paper/tests \
-		tests/contract/test_saved_flights.py
-	@TESTBED_BEGUN=1000 $(BIN)/pytest -q -n $(JOBS) tests/contract/test_begun_flights.py
-	@TESTBED_PREPARED=1 $(BIN)/pytest -q -n $(JOBS) tests/contract/test_prepare.py
-	@TESTBED_ENGINES=1 $(BIN)/pytest -q -n $(JOBS) tests/contract/test_engine.py \
-		tests/contract/test_engine_powers.py
-	@TESTBED_LITERALS=100000 $(BIN)/pytest -q tests/equations/test_compiled_literals.py
-	@TESTBED_STUDIES=1 $(BIN)/pytest -q tests/contract/test_sweep.py tests/contract/test_stuck_law.py
-	@TESTBED_KEPT_FILES=1 $(BIN)/pytest -q -n $(JOBS) tests/contract/test_kept_files.py
-	@TESTBED_KILLS=200 TESTBED_CUTS=40 $(BIN)/pytest -q -n $(JOBS) tests/contract/test_endings.py \
-		tests/contract/test_recover.py
-	@TESTBED_DOCS=1 TESTBED_LAWS=1 $(BIN)/pytest -q -n $(JOBS) tests/contract/test_readme.py \
-		tests/contract/test_own_law.py
-	@TESTBED_ARDUPLANE_WHOLE=1 $(BIN)/pytest -q tests/contract/test_arduplane.py \
-		tests/truth/test_four_arduplanes.py
-	@$(BIN)/testbed check --jobs $(JOBS)
-	@$(MAKE) train ARGS=
-	@$(MAKE) numbers ARGS=--check
+# Every part on its large sample, and the results into docs/contributing/development.md: hours.
+# ARGS="--list" prints the parts, ARGS="--only theorem" runs one.
+check-all: $(STAMP) $(CLIENTS_STAMP)
+	@$(BIN)/python tests/check_all.py --jobs $(JOBS) $(ARGS)
 
 # Cost of a flight relative to bare JSBSim, by size of the fleet (ARGS="--json FILE --into
 # docs/speed.md" writes it); of coherent turbulence and of sensor errors; of the network of 100 aircraft;
