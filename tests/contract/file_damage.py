@@ -36,6 +36,8 @@ def _flip(low, high):
 
     def damage(path, others, rng):
         data = bytearray(path.read_bytes())
+        if not data:
+            return  # the file of a lock
         at = min(int(rng.uniform(low, high) * len(data)), len(data) - 1)
         data[at] ^= 1 << rng.randrange(8)
         path.write_bytes(data)
@@ -49,7 +51,7 @@ def _random(path, others, rng):
 
 def _same_head(path, others, rng):
     data = path.read_bytes()
-    path.write_bytes(data[:60] + rng.randbytes(len(data) - 60))
+    path.write_bytes(data[:60] + rng.randbytes(max(len(data) - 60, 60)))
 
 
 def _append(path, others, rng):
