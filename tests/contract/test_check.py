@@ -12,9 +12,11 @@ from commands import call_command, refuse_all, run_command
 from snapshot import check_snapshot
 
 from testbed.core.compile import notice
+from testbed.core.errors import InputError
 from testbed.scenario import load_scenario
 from testbed.studies.flight_code import describe_code
 from testbed.studies.golden import fly_all
+from testbed.studies.golden_annotations import MAX_ANNOTATIONS, input_annotations
 from testbed.studies.golden_compare import GoldenFlight
 from testbed.studies.golden_table import read_table
 from testbed.studies.scenario_snapshot import read_inputs
@@ -292,6 +294,18 @@ def test_check_missing_table_is_an_error_in_junit(tmp_path):
     assert "exact.yaml,title=" in annotation and "line=1,col=1::" in annotation
     root = ElementTree.parse(tmp_path / "j.xml").getroot()
     assert (root.get("tests"), root.get("errors"), root.get("failures")) == ("1", "1", "0")
+
+
+@pytest.mark.parametrize("count", [10, 11, 25])
+def test_annotations_of_many_errors_are_counted(count):
+    """GitHub shows ten of a step: the last has the number of those that are left out."""
+    text = "\n".join(f"a.yaml:{line}:1: wrong" for line in range(1, count + 1))
+    found = input_annotations(InputError(text))
+    assert len(found) == MAX_ANNOTATIONS == 10
+    shown = [each for each in found if each.place]
+    assert [each.place.line for each in shown] == list(range(1, len(shown) + 1))
+    left = [int(each.text.split(" more errors")[0]) for each in found if not each.place]
+    assert len(shown) + sum(left) == count and len(left) == (count > 10)
 
 
 def test_fly_all_exception_becomes_a_problem(tmp_path):
