@@ -111,6 +111,14 @@ def test_import_replays_like_the_original(logs, kind):
     assert np.abs(a["airspeed_mps"] - b["airspeed_mps"]).max() < 1e-3
 
 
+def test_import_has_the_rows_of_both_ends(logs):
+    whole = read_flight(logs / "flight.bin").columns
+    first, last = whole["t_s"][[100, 200]]
+    part = read_flight(logs / "flight.bin", begin=first, end=last).columns
+    for name in ("t_s", "phi_rad"):
+        assert part[name].tolist() == whole[name][100:201].tolist()
+
+
 def test_import_older_logs_in_centidegrees(folder):
     old = FORMATS | {"ATT": OLD_ATT}
     path = write_dataflash(folder / "old.bin", SHORT, formats=old)
