@@ -386,6 +386,22 @@ def test_sweep_table_fits_the_terminal(width, keys, metrics):
     assert text.count("3.21 to 123") == metrics and "19 of 20" in text
 
 
+@pytest.mark.parametrize(
+    ("numbers", "shown"),
+    [
+        ((12.345, 0.25, 999.0), "12.3 (0.25 to 999)"),
+        ((765.4, 0.75, 1500.0), "765 (1 to 1500)"),
+        ((-765.4, -1500.0, -0.75), "-765 (-1500 to -1)"),
+    ],
+)
+def test_range_of_large_numbers_has_no_exponents(numbers, shown):
+    groups = (RunGroup("", {}, 2, 2, {"min_separation_m": numbers}),)
+    (table,) = summary_tables(Summary(("min_separation_m",), {}, groups, (), 0), 100)
+    console = Console(width=100, file=io.StringIO())
+    console.print(table)
+    assert shown in console.file.getvalue()
+
+
 def test_progress_shows_flights_per_second(monkeypatch, capsys):
     monkeypatch.setenv("FORCE_COLOR", "1")  # as on a terminal
     for rate in ("flights", ""):
