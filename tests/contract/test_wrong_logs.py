@@ -5,12 +5,14 @@ import json
 
 import mcap.data_stream
 import mcap.records
+import numpy as np
 import pytest
 from commands import call_command
 from mutations import ATTACHMENT, MAGIC, content_of, joined, split_records
 from record_flight import event, record, run_info, run_samples
 
 from testbed.core.errors import InputError
+from testbed.logs import mcap_file
 from testbed.logs.mcap_file import LogError
 from testbed.logs.read import read_log
 from testbed.metrics.observer import MetricsObserver
@@ -141,6 +143,24 @@ def test_report_of_a_wrong_log_exits_with_2(tmp_path):
     done = call_command("report", "run.mcap", cwd=tmp_path, code=2, columns=200)
     assert done.stderr.count("\n") == 1
     assert "run.mcap: metrics.json: windows: is a number, not a map" in done.stderr
+
+
+def test_messages_after_the_last_state_are_left_out(tmp_path, monkeypatch):
+    """As of a file from which another program took messages of one topic."""
+    path = write_log(tmp_path / "run.mcap")
+    whole, read = read_log(path), mcap_file.read
+
+    def without_last_states(path):
+        contents = read(path)
+        states = contents.messages["/leader/state"]
+        del states.time_ns[-2:], states.data[-2:]
+        return contents
+
+    monkeypatch.setattr(mcap_file, "read", without_last_states)
+    log = read_log(path)
+    assert log.tick.tolist() == whole.tick[:-2].tolist()
+    for own, other in zip(log.formation, whole.formation, strict=True):
+        np.testing.assert_array_equal(own, other[:-2])
 
 
 def test_many_aircraft_of_few_messages_are_refused(tmp_path):
