@@ -635,6 +635,7 @@ def test_ftp_logs_and_timesync_are_answered(open_server, ground):
     # sequence, session, NAK, one byte, the opcode, no burst; the byte is the error code FAIL
     assert nak.fields["payload"][:8] == (8, 0, 3, 129, 1, 4, 0, 0)
     assert nak.fields["payload"][12] == 1
+    assert nak.fields["target_network"] == 0  # all networks
     assert logs.fields["num_logs"] == 0
     assert (clock.fields["tc1"], clock.fields["ts1"]) == (2_000_000_000, 2**62 + 1)
 
