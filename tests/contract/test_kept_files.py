@@ -159,6 +159,14 @@ def test_readable_folder_is_read_the_next_written(tmp_path, monkeypatch):
     assert only.folder is None and only.read("one") == b"1" and only.read("two") is None
 
 
+def test_folder_that_is_opened_counts_as_used(tmp_path):
+    """Its time tells for how long a folder of machine code was not used."""
+    folder = opened(tmp_path / "cache").folder
+    os.utime(folder, (0.0, 0.0))
+    assert opened(tmp_path / "cache").folder == folder
+    assert time.time() - folder.stat().st_mtime < 3600.0
+
+
 def planted(path, mode):
     """A folder of kept files with this mode, made by someone."""
     opened(path).write("one", b"planted")
