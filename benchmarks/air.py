@@ -13,7 +13,7 @@ from inputs import Case, Inputs
 from tables import COMMAND, Metrics, row, versions, write_tables
 
 TESTS = Path(__file__).parents[1] / "tests"
-sys.path += [str(TESTS), str(TESTS / "truth")]
+sys.path += [str(TESTS / "shared"), str(TESTS / "atmosphere" / "truth")]
 from test_wake import CASES, CORE_SPANS, OFFSETS, lattice, modelled  # noqa: E402
 
 SEEDS = (1, 2, 3, 4)

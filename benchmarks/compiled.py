@@ -20,10 +20,10 @@ from time import perf_counter
 import numpy as np
 
 import testbed
+from testbed.compiled import CompiledAircraft
 from testbed.core.call_list import Call, CallList
 from testbed.core.records import NedOrigin
 from testbed.scenario import load_scenario, set_duration
-from testbed.vehicle.compiled import CompiledAircraft
 from testbed.vehicle.jsbsim_adapter import load, trim_aircraft
 from testbed.vehicle.trim import TrimPoint
 

@@ -20,9 +20,7 @@ from tables import add_output_arguments, part_of, publish, row
 
 import testbed
 from testbed.core.records import Array
-from testbed.plan.world import build
-from testbed.scenario import Scenario, load_scenario
-from testbed.trials.delay_flight import (
+from testbed.linear.delay_flight import (
     Origin,
     fly_errors,
     predict_errors,
@@ -30,12 +28,14 @@ from testbed.trials.delay_flight import (
     with_network,
     without_network,
 )
-from testbed.trials.delay_offset import SteadyMotion
-from testbed.trials.held_flight import HeldFlight
-from testbed.trials.limit_cycle import ROLL, LimitCycle, find_limit_cycle
-from testbed.trials.linear_formation import join
-from testbed.trials.predicted_margins import linearise
-from testbed.trials.steady_flight import steady_scenario
+from testbed.linear.delay_offset import SteadyMotion
+from testbed.linear.held_flight import COMMANDS, HeldFlight
+from testbed.linear.limit_cycle import LimitCycle, find_limit_cycle
+from testbed.linear.linear_formation import join
+from testbed.linear.predicted_margins import linearise
+from testbed.linear.steady_flight import steady_scenario
+from testbed.plan.world import build
+from testbed.scenario import Scenario, load_scenario
 
 SIMULATIONS = ("simulation-1", "simulation-2", "simulation-3")
 PROFILES = ("tuned", "rms")
@@ -54,6 +54,7 @@ CYCLES = (
     ("authors", 45.0, 0, (0.7, 0.8)),
     ("rms", 40.0, 0, (0.22, 0.26, 0.3, 0.35)),
 )
+ROLL = COMMANDS.index("roll")
 STEADY_S = 120.0
 LARGE_KICK_DEG = 20.0
 LATE_S = (0.12, 0.14, 0.16, 0.18, 0.2, 0.22)  # latencies of all commands
@@ -282,8 +283,9 @@ def cycle_tables() -> Iterator[str]:
     for profile, bank_deg, follower, latencies in CYCLES:
         turn = turns.setdefault((profile, bank_deg), Turn(profile, bank_deg))
         room = float(turn.room_deg[follower])
+        name = turn.flight.world.names[1 + follower]
         for latency_s in latencies:
-            predicted = find_limit_cycle(turn.formation, follower, latency_s, room)
+            predicted = find_limit_cycle(turn.formation, name, latency_s, room)
             swing = turn.swing(follower, LARGE_KICK_DEG, [(ROLL, latency_s)])
             flown = measure_cycle(swing, turn.flight.dt)
             texts = ["decays" if each is None else "" for each in (predicted, flown)]
@@ -294,7 +296,6 @@ def cycle_tables() -> Iterator[str]:
                     pair(predicted.frequency_hz, flown.frequency_hz, 3),
                     f"{pair(predicted.roll_deg, flown.roll_deg, 1)}°",
                 )
-            name = turn.formation.names[follower]
             yield row(f"`{profile}`", name, f"{room:.1f}°", f"{1000.0 * latency_s:.0f} ms", *cells)
     yield ""
     yield row("latency of all commands", *(f"kick of {each:g}°" for each in KICKS_DEG))

@@ -17,10 +17,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from testbed.pool.scenario_snapshot import read_inputs, snapshot
 from testbed.scenario import Scenario, find_tuning, load_scenario
 from testbed.scenario.yaml_io import plain, read
 from testbed.studies.plan import Plan, load_study
-from testbed.studies.scenario_snapshot import read_inputs, snapshot
 
 ROOT = Path(__file__).resolve().parents[1]
 NUMERIC = ("jsbsim", "llvmlite", "numba", "numpy")  # packages that move numbers of flights

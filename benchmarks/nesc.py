@@ -23,7 +23,7 @@ from testbed.vehicle.environment import (
     JSBSIM_DEFAULT_INTEGRATORS,
 )
 
-sys.path.append(str(Path(__file__).parents[1] / "tests" / "truth"))
+sys.path.append(str(Path(__file__).parents[1] / "tests" / "shared"))
 from nesc_cases import (  # noqa: E402
     CASES,
     PITCH,

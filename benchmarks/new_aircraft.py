@@ -23,7 +23,7 @@ from inputs import Inputs
 from tables import add_output_arguments, publish
 
 import testbed.cli.main
-import testbed.trials.aircraft_files  # once for all, before the first fork
+import testbed.commissioning.aircraft_files  # once for all, before the first fork
 from testbed.vehicle.jsbsim_adapter import SHARED_FILES
 
 LONGEST_S = 300.0

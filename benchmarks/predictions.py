@@ -13,22 +13,25 @@ from typing import cast
 
 import numpy as np
 from inputs import Case, Inputs
+from scipy.signal import dlsim
 from tables import add_output_arguments, part_of, publish, row
 
 import testbed
 from testbed.core.oscillations import Oscillation, find_oscillations
 from testbed.core.records import Array
+from testbed.linear.delay_margin import delay_margins
+from testbed.linear.flown_margins import FASTEST_HZ, RECORD_S
+from testbed.linear.held_flight import COMMANDS, KICK_S, HeldFlight
+from testbed.linear.linear_formation import join
+from testbed.linear.linear_system import LinearSystem
+from testbed.linear.loop_margins import MAX_GAIN, MAX_LATENCY_S
+from testbed.linear.pooled_margins import margins_of, predicted_margins_of
+from testbed.linear.predicted_margins import fly_linearisable, linearise
+from testbed.linear.steady_flight import settle, steady_scenario
 from testbed.plan.world import build, versions
+from testbed.pool.flight_pool import open_flight_pool
 from testbed.scenario import Scenario, find_aircraft, load_scenario
 from testbed.scenario.yaml_io import read
-from testbed.studies.flight_pool import open_flight_pool
-from testbed.studies.margins import margins_of, predicted_margins_of
-from testbed.trials.delay_margin import delay_margins
-from testbed.trials.held_flight import COMMANDS, KICK_S, HeldFlight
-from testbed.trials.linear_formation import MAX_GAIN, MAX_LATENCY_S, LinearFormation, join
-from testbed.trials.margins import FASTEST_HZ, RECORD_S
-from testbed.trials.predicted_margins import fly_linearisable, linearise
-from testbed.trials.steady_flight import settle, steady_scenario
 
 MARK = "make predictions"
 KICK = math.radians(1.0)
@@ -86,10 +89,10 @@ def text_of_modes() -> str:
         formation = join(linearise(flight))
         start = flight.save()
         banks = np.degrees(flight.world.aircraft["truth"]["euler"][1:, 0])
-        for i, name in enumerate(formation.names):
+        for i, name in enumerate(flight.world.names[1:]):
             periods = round(RECORD_S / flight.dt)
             flown = _flown(flight, start, i, periods, KICK)
-            found = _predicted(formation, i, periods)
+            found = _predicted(formation, name, periods)
             mode, other = _pair(find_oscillations(found, flight.dt), flown, flight.dt)
             whole = float(np.linalg.norm(found - flown) / np.linalg.norm(flown))
             errors.append(
@@ -217,9 +220,10 @@ def text_of_ring() -> str:
     if problem := settle(flight):
         return problem
     steady = math.degrees(flight.world.aircraft["truth"]["euler"][1, 0])
-    modes = [mode for mode in join(linearise(flight)).of(0).modes() if mode.frequency_hz > 0.5]
+    modes = join(linearise(flight)).coupled_with("uav1").modes()
     flown = ringing[0]
-    near = min(modes, key=lambda mode: abs(mode.frequency_hz - flown.frequency_hz))
+    fast = [mode for mode in modes if mode.frequency_hz > 0.5]
+    near = min(fast, key=lambda mode: abs(mode.frequency_hz - flown.frequency_hz))
     return "\n".join(
         [
             row("uav1", "mean bank", "radius, m", "climb, m/s", "Hz", "damping ratio"),
@@ -253,13 +257,11 @@ def _flown(flight: HeldFlight, start: object, i: int, periods: int, kick: float)
     return moved[:, i, :2]
 
 
-def _predicted(formation: LinearFormation, i: int, periods: int) -> Array:
-    state, rows = np.zeros(len(formation.a)), []
-    push = formation.b_command[i].sum(axis=0)[:, :2].sum(axis=1) * KICK
-    for k in range(periods):
-        rows.append(formation.c_attitude[i] @ state)
-        state = formation.a @ state + (push if k * formation.dt < KICK_S - 1e-9 else 0.0)
-    return np.array(rows)
+def _predicted(formation: LinearSystem, name: str, periods: int) -> Array:
+    kicked = formation.select([f"{name}.pitch", f"{name}.roll"], f"{name}.attitude")
+    during = np.arange(periods) * formation.dt < KICK_S - 1e-9
+    _, found, _ = dlsim(kicked.to_scipy(), np.outer(during, (KICK, KICK)))
+    return np.asarray(found, dtype=float)
 
 
 def _pair(predicted: list[Oscillation], flown: Array, dt: float) -> tuple[Oscillation, Oscillation]:

@@ -22,10 +22,10 @@ from inputs import Inputs
 from tables import add_output_arguments, publish, row
 
 from testbed.autopilot.parameters import AutopilotTiming
+from testbed.commissioning.replay_commands import respond
 from testbed.core.frames import GRAVITY
 from testbed.core.records import Array
 from testbed.vehicle.environment import JSBSIM_DEFAULT_INTEGRATORS
-from testbed.vehicle.replay_commands import respond
 
 ROOT = Path(__file__).parent.parent
 RASCAL = ROOT / "aircraft" / "rascal110"

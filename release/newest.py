@@ -20,15 +20,15 @@ ROOT = Path(__file__).parents[1]
 INTO = ROOT / "build" / "newest"
 NAMES = ("jsbsim", "rerun-sdk")
 TESTS = (
-    "tests/equations/test_compiled_states.py",
-    "tests/equations/test_compiled_elements.py",
-    "tests/truth/test_airframe_tools.py",
-    "tests/truth/test_nesc_check_cases.py",
-    "tests/golden/test_simulation_3.py",
-    "tests/contract/test_view_commands.py",
-    "tests/contract/test_viewer_process.py",
-    "tests/contract/test_views.py",
-    "tests/contract/test_web_viewer.py",
+    "tests/compiled/equations/test_compiled_states.py",
+    "tests/compiled/equations/test_compiled_elements.py",
+    "tests/vehicle/truth/test_airframe_tools.py",
+    "tests/vehicle/truth/test_nesc_check_cases.py",
+    "tests/whole/bounds/test_simulation_3.py",
+    "tests/views/contract/test_view_commands.py",
+    "tests/views/contract/test_viewer_process.py",
+    "tests/views/contract/test_views.py",
+    "tests/views/contract/test_web_viewer.py",
 )
 
 

@@ -8,6 +8,7 @@ one, `testbed.load_run` reads the log of a run as arrays. `testbed.Simulation` s
 
 from __future__ import annotations
 
+import warnings
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -16,14 +17,15 @@ from testbed.core.version import __version__
 if TYPE_CHECKING:
     from testbed.flight.stages import FlightRecords, UserStage
     from testbed.formation.compiled_law import kernel
+    from testbed.linear.gain_scan import GainScan
+    from testbed.linear.linear_system import LinearSystem
+    from testbed.linear.linearise import linearise
     from testbed.logs.flight_data import FlightData, load_run
     from testbed.runs.batch import Batch
     from testbed.runs.run import Run, run
     from testbed.runs.simulation import Simulation
     from testbed.runs.single_aircraft import Aircraft
     from testbed.scenario.load import load_scenario
-    from testbed.trials.gain_scan import GainScan
-    from testbed.trials.state_space import StateSpace, linearise
 
 __all__ = [
     "Aircraft",
@@ -31,9 +33,9 @@ __all__ = [
     "FlightData",
     "FlightRecords",
     "GainScan",
+    "LinearSystem",
     "Run",
     "Simulation",
-    "StateSpace",
     "UserStage",
     "__version__",
     "kernel",
@@ -48,13 +50,13 @@ _MODULES = {
     "Batch": "testbed.runs.batch",
     "FlightData": "testbed.logs.flight_data",
     "FlightRecords": "testbed.flight.stages",
-    "GainScan": "testbed.trials.gain_scan",
+    "GainScan": "testbed.linear.gain_scan",
+    "LinearSystem": "testbed.linear.linear_system",
     "Run": "testbed.runs.run",
     "Simulation": "testbed.runs.simulation",
-    "StateSpace": "testbed.trials.state_space",
     "UserStage": "testbed.flight.stages",
     "kernel": "testbed.formation.compiled_law",
-    "linearise": "testbed.trials.state_space",
+    "linearise": "testbed.linear.linearise",
     "load_run": "testbed.logs.flight_data",
     "load_scenario": "testbed.scenario",
     "run": "testbed.runs.run",
@@ -67,6 +69,10 @@ def __getattr__(name: str) -> Any:  # noqa: ANN401 - a class or a function
         return getattr(import_module(_MODULES[name]), name)
     if name == "law":
         return import_module("testbed.law")
+    if name == "StateSpace":  # until 0.2
+        text = "testbed.StateSpace is testbed.LinearSystem now (write that name)"
+        warnings.warn(text, DeprecationWarning, stacklevel=2)
+        return __getattr__("LinearSystem")
     raise AttributeError(f"module 'testbed' has no attribute {name!r}")
 
 

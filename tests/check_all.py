@@ -40,45 +40,49 @@ PARTS = (
     Part(
         "theorem",
         "1,000 random starts",
-        "TESTBED_STARTS=1000 pytest tests/theorems/test_theorem_many_starts.py",
+        "TESTBED_STARTS=1000 pytest tests/formation/theorems/test_theorem_many_starts.py",
         parallel=False,
     ),
     Part(
         "statistics of turbulence",
         "60 samples per case",
-        "TESTBED_AIR_SAMPLES=60 pytest tests/equations/test_atmosphere_dryden.py "
-        "tests/equations/test_atmosphere_von_karman.py tests/equations/test_atmosphere_field.py",
+        "TESTBED_AIR_SAMPLES=60 pytest tests/atmosphere/equations/test_atmosphere_dryden.py "
+        "tests/atmosphere/equations/test_atmosphere_von_karman.py "
+        "tests/atmosphere/equations/test_atmosphere_field.py",
     ),
     Part(
         "compiled flight models against JSBSim",
         "1,000 random states, 3 steps each",
-        "TESTBED_STATES=1000 pytest tests/equations/test_compiled_states.py",
+        "TESTBED_STATES=1000 pytest tests/compiled/equations/test_compiled_states.py",
         parallel=False,
     ),
     Part(
         "functions and components of compiled models against JSBSim",
         "all, 100,000 arguments each",
-        "TESTBED_LITERALS=100000 pytest tests/equations/test_compiled_literals.py",
+        "TESTBED_LITERALS=100000 pytest tests/compiled/equations/test_compiled_literals.py",
         parallel=False,
     ),
     Part(
         "statistics of the network",
         "1,000,000 packets",
-        "TESTBED_PACKETS=1000000 pytest tests/equations/test_network_loss.py "
-        "tests/equations/test_network_delay.py tests/equations/test_network_queue.py "
-        "tests/equations/test_network_keys.py",
+        "TESTBED_PACKETS=1000000 pytest tests/network/equations/test_network_loss.py "
+        "tests/network/equations/test_network_delay.py "
+        "tests/network/equations/test_network_queue.py "
+        "tests/network/equations/test_network_keys.py",
     ),
     Part(
         "statistics of links with several faults",
         "10,000 packets per case",
-        "TESTBED_PACKETS=10000 pytest tests/equations/test_network_statistics.py",
+        "TESTBED_PACKETS=10000 pytest tests/network/equations/test_network_statistics.py",
     ),
     Part(
         "broken MAVLink frames and flight logs",
         "600,000",
-        "TESTBED_FRAMES=600000 pytest tests/contract/test_mavlink_codec_noise.py "
-        "tests/contract/test_mavlink_vehicle_noise.py tests/contract/test_dataflash.py "
-        "tests/truth/test_import_flight.py tests/equations/test_follow_target.py",
+        "TESTBED_FRAMES=600000 pytest tests/mavlink/contract/test_mavlink_codec_noise.py "
+        "tests/mavlink/contract/test_mavlink_vehicle_noise.py "
+        "tests/flight_logs/contract/test_dataflash.py "
+        "tests/flight_logs/truth/test_import_flight.py "
+        "tests/mavlink/equations/test_follow_target.py",
     ),
     Part(
         "MAVLink frames from many clients at once",
@@ -89,49 +93,49 @@ PARTS = (
     Part(
         "flight logs with several vehicles, clocks or sensors",
         "1,000",
-        "TESTBED_IMPORTS=1000 pytest tests/truth/test_import_identity.py",
+        "TESTBED_IMPORTS=1000 pytest tests/flight_logs/truth/test_import_identity.py",
         parallel=False,
     ),
     Part(
         "fits of an aircraft to recordings with sensor errors, whose values are known",
         "20",
-        "TESTBED_FITS=20 pytest tests/truth/test_airframe_fit.py",
+        "TESTBED_FITS=20 pytest tests/commissioning/truth/test_airframe_fit.py",
         parallel=False,
     ),
     Part(
         "broken input files",
         "20,000",
-        "TESTBED_MUTATIONS=20000 pytest tests/contract/test_mutations.py",
+        "TESTBED_MUTATIONS=20000 pytest tests/whole/contract/test_mutations.py",
     ),
     Part(
         "aircraft drawn from JSBSim's grammar, most of which try to act",
         "2,000",
-        "TESTBED_AIRCRAFT=2000 pytest tests/contract/test_airframe_files.py",
+        "TESTBED_AIRCRAFT=2000 pytest tests/airframes/contract/test_airframe_files.py",
         parallel=False,
     ),
     Part(
         "run directories with files of the user, links, pipes, absurd numbers; writes that fail",
         "500; 300",
         "TESTBED_RUN_DIRECTORIES=500 TESTBED_WRITE_ERRORS=300 pytest "
-        "tests/contract/test_run_files_fuzz.py tests/contract/test_write_errors.py",
+        "tests/logs/contract/test_run_files_fuzz.py tests/logs/contract/test_write_errors.py",
     ),
     Part(
         "calls from Python with any arguments",
         "2,000",
-        "TESTBED_ARGUMENTS=2000 pytest tests/contract/test_arguments.py",
+        "TESTBED_ARGUMENTS=2000 pytest tests/whole/contract/test_arguments.py",
         parallel=False,
     ),
     Part(
         "numbers of a scenario at and beyond their bounds",
         "all",
-        "TESTBED_NUMBERS=1 pytest tests/contract/test_scenario_schema.py",
+        "TESTBED_NUMBERS=1 pytest tests/scenario/contract/test_scenario_schema.py",
         parallel=False,
     ),
     Part(
         "keys of the shipped scenarios, flown with drawn values and at their bounds: a key that "
         "changes no number must be reported",
         "200",
-        "TESTBED_KEYS=200 pytest tests/contract/test_set_keys.py",
+        "TESTBED_KEYS=200 pytest tests/scenario/contract/test_set_keys.py",
         parallel=False,
     ),
     Part(
@@ -143,52 +147,54 @@ PARTS = (
     Part(
         "bounds of the golden scenarios, pages of the paper, saved and restored flights",
         "whole flights",
-        "TESTBED_WHOLE=1 pytest tests/golden paper/tests tests/contract/test_saved_flights.py",
+        "TESTBED_WHOLE=1 pytest tests/whole/bounds paper/tests "
+        "tests/flight/contract/test_saved_flights.py",
     ),
     Part(
         "flights begun later against whole flights",
         "1,000 pairs of scenario and begin",
-        "TESTBED_BEGUN=1000 pytest tests/contract/test_begun_flights.py",
+        "TESTBED_BEGUN=1000 pytest tests/plan/contract/test_begun_flights.py",
     ),
     Part(
         "golden scenarios that compile or load nothing in flight",
         "all, also with nothing cached",
-        "TESTBED_PREPARED=1 pytest tests/contract/test_prepare.py",
+        "TESTBED_PREPARED=1 pytest tests/flight/contract/test_prepare.py",
     ),
     Part(
         "both engines, every number of 60 s; powers for 120 s",
         "all scenarios",
-        "TESTBED_ENGINES=1 pytest tests/contract/test_engine.py "
-        "tests/contract/test_engine_powers.py",
+        "TESTBED_ENGINES=1 pytest tests/compiled/contract/test_engine.py "
+        "tests/compiled/contract/test_engine_powers.py",
     ),
     Part(
         "studies and workers that are killed",
         "whole studies",
-        "TESTBED_STUDIES=1 pytest tests/contract/test_sweep.py tests/contract/test_stuck_law.py",
+        "TESTBED_STUDIES=1 pytest tests/studies/contract/test_sweep.py "
+        "tests/studies/equations/test_study_plan.py tests/runs/contract/test_stuck_law.py",
         parallel=False,
     ),
     Part(
         "flights with damaged files of machine code, proofs and locks",
         "26 kinds of damage",
-        "TESTBED_KEPT_FILES=1 pytest tests/contract/test_kept_files.py",
+        "TESTBED_KEPT_FILES=1 pytest tests/core/contract/test_kept_files.py",
     ),
     Part(
         "runs killed at random moments, stopped by two signals; logs that are cut",
         "200, 200; 40",
-        "TESTBED_KILLS=200 TESTBED_CUTS=40 pytest tests/contract/test_endings.py "
-        "tests/contract/test_recover.py",
+        "TESTBED_KILLS=200 TESTBED_CUTS=40 pytest tests/runs/contract/test_endings.py "
+        "tests/logs/contract/test_recover.py",
     ),
     Part(
         "snippets of the docs; laws of large formations",
         "every page",
-        "TESTBED_DOCS=1 TESTBED_LAWS=1 pytest tests/contract/test_readme.py "
-        "tests/contract/test_own_law.py",
+        "TESTBED_DOCS=1 TESTBED_LAWS=1 pytest tests/whole/contract/test_readme.py "
+        "tests/formation/contract/test_own_law.py",
     ),
     Part(
         "four stand-ins of ArduPlane; virtual autopilots against the recording of four real ones",
         "the whole of Simulation 3",
-        "TESTBED_ARDUPLANE_WHOLE=1 pytest tests/contract/test_arduplane.py "
-        "tests/truth/test_four_arduplanes.py",
+        "TESTBED_ARDUPLANE_WHOLE=1 pytest tests/ardupilot/contract/test_arduplane.py "
+        "tests/ardupilot/truth/test_four_arduplanes.py",
         parallel=False,
     ),
     Part("golden tables", "all, flown again", "testbed check --jobs {jobs}"),

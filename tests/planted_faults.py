@@ -24,8 +24,9 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = (
-    *("formation", "sensors", "atmosphere", "network", "vehicle/compiled", "flight", "metrics"),
-    *("logs", "studies", "trials", "mavlink", "scenario", "plan", "core", "cli", "autopilot"),
+    *("formation", "sensors", "atmosphere", "network", "compiled", "flight", "metrics"),
+    *("logs", "studies", "linear", "mavlink", "scenario", "plan", "core", "cli", "autopilot"),
+    *("airframes", "vehicle", "commissioning", "flight_logs", "golden", "pool", "tuning"),
 )
 COMPARISONS = {
     ast.Lt: "<=",
@@ -149,7 +150,7 @@ def test_files(fault):
     package, _, name = module.rpartition(".")
     narrow = re.compile(rf"{re.escape(module)}\b|from {re.escape(package)} import .*\b{name}\b")
     near, wide = [], []
-    for path in sorted([*ROOT.glob("tests/*/test_*.py"), *ROOT.glob("paper/tests/test_*.py")]):
+    for path in sorted([*ROOT.glob("tests/**/test_*.py"), *ROOT.glob("paper/tests/test_*.py")]):
         text = path.read_text("utf-8")
         place = str(path.relative_to(ROOT))
         if narrow.search(text):

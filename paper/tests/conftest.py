@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-sys.path += [str(ROOT / "tests"), str(ROOT / "tests" / "golden")]
+sys.path += [str(ROOT / "tests" / each) for each in ("shared", "whole/bounds")]
 
 
 @pytest.fixture

@@ -6,10 +6,10 @@ import math
 import numpy as np
 import pytest
 
+from testbed.commissioning.replay_commands import respond
 from testbed.runs.run import run
 from testbed.scenario import library, load_scenario, set_duration
 from testbed.studies.plan import Plan, load_study
-from testbed.vehicle.replay_commands import respond
 
 EXPERIMENTS = (1, 2, 3)
 STUDIES = library() / "scenarios" / "studies"

@@ -48,7 +48,6 @@ class Atmosphere:
         dryden: DrydenTurbulence | None = None,
         wakes: WakeModel | None = None,
     ) -> None:
-        """See the class."""
         self.mean, self.gusts, self.field = mean, gusts, field
         self._dryden, self._wakes = dryden, wakes
         self._local_wind = make_local_wind(airframes)

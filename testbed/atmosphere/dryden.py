@@ -108,7 +108,6 @@ class DrydenTurbulence:
         scales: Callable[[Array], tuple[Array, Array]],
         hold_s: float = 0.5,
     ) -> None:
-        """See the class."""
         for name, span in zip(names, spans, strict=True):
             if not 0.0 < span < np.inf:
                 raise InputError(f"{name} has a wingspan of {span:g} m: write one above 0 m")

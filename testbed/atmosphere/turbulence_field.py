@@ -423,7 +423,6 @@ def _weights(t: float) -> Values:
 
 @kernel
 def _slopes(t: float) -> Values:
-    """Return the derivatives of the weights."""
     u = 1.0 - t
     return (-u * u / 2.0, (3.0 * t * t - 4.0 * t) / 2.0, (4.0 * u - 3.0 * u * u) / 2.0, t * t / 2.0)
 

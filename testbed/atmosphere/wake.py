@@ -182,7 +182,6 @@ class WakeModel:
         dt: float,
         density: float,
     ) -> None:
-        """See the class."""
         self.wake, self.wings = allocate(WAKE, 1), allocate(WING, len(airframes))
         wake, wings = self.wake, self.wings
         wings["span"] = span = np.array([each.span for each in airframes])

@@ -1,1 +1,1 @@
-"""The real ArduPlane as an aircraft's autopilot, with our flight model as its JSON physics."""
+"""Fly-by-wire A of ArduPlane as a compiled law, and its parameters."""

@@ -22,7 +22,6 @@ class InvalidParamError(ParamError):
     """A parameter that cannot have its value; `name` is that of its field."""
 
     def __init__(self, name: str, text: str) -> None:
-        """Store the name."""
         self.name = name
         super().__init__(text)
 
@@ -196,7 +195,6 @@ def fbwa_params(file: ParamFile) -> FbwaParams:
 
 
 def _used_values(file: ParamFile) -> dict[str, GivenValue]:
-    """Return the values by field of `FbwaParams`."""
     named = {name.lower(): each for name, each in _surface_outputs(file.values).items()}
     return {name: each for name, each in named.items() if name in RANGES}
 

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
 from rich.table import Table
 from rich.text import Text
 
@@ -16,16 +15,19 @@ from testbed.cli.options import (
     Overrides,
     ScenarioName,
     Seed,
+    figure_option,
     finite_option,
     load_scenario,
     output_option,
     positive_option,
     read_time,
+    value_option,
 )
 from testbed.cli.output import (
     MISSING,
     result_console,
     ruled_table,
+    save_plot,
     write_json_output,
 )
 from testbed.core.errors import InputError
@@ -33,8 +35,8 @@ from testbed.core.files import report_write_errors, write_file
 
 if TYPE_CHECKING:
     from testbed.core.records import Array
+    from testbed.probes.air_probe import ProbePath, ProbeRecord
     from testbed.scenario import Scenario
-    from testbed.trials.probes import ProbePath, ProbeRecord
 
 DEFAULT_AIRSPEED = 20.0  # m/s, where the leader flies no mission
 MAX_SAMPLES = 20_000_000  # of all probes: more than a gigabyte
@@ -57,7 +59,7 @@ def air_command(
     ] = None,
     rate: Annotated[float, positive_option("HZ", "Samples per second.")] = 50.0,
     duration: Annotated[
-        str, typer.Option(metavar="TIME", help="Length of the flight: 600, 90s or 10m.")
+        str, value_option("TIME", "Length of the flight: 600, 90s or 10m.")
     ] = "600",
     airspeed: Annotated[
         float | None,
@@ -81,10 +83,9 @@ def air_command(
     seed: Seed = None,
     plot: Annotated[
         Path | None,
-        output_option(
-            help="Plot records, spectra and coherence with the closed forms of the model, as .png, "
-            ".pdf or .svg.",
-            suffixes=(".png", ".pdf", ".svg"),
+        figure_option(
+            "Plot records, spectra and coherence with the closed forms of the model, as .png, "
+            ".pdf or .svg."
         ),
     ] = None,
     json: JsonFile = None,
@@ -96,7 +97,7 @@ def air_command(
     has the leader's turbulence; the second has that of the first follower. Gusts are included,
     wakes are not.
     """
-    from testbed.trials.probes import fly_probes, to_arrays
+    from testbed.probes.air_probe import fly_probes, to_arrays
 
     duration_s = read_time("--duration", duration)
     _check_samples(rate * duration_s, probes=1 if separation is None else 2, plot=plot is not None)
@@ -143,8 +144,8 @@ def _probe_path(
     height: float | None,
     separation: float | None,
 ) -> ProbePath:
+    from testbed.probes.air_probe import ProbePath
     from testbed.scenario.aircraft import Mission
-    from testbed.trials.probes import ProbePath
 
     path = scenario.leader.path
     if airspeed is None:
@@ -172,7 +173,7 @@ def _save(path: Path, arrays: Mapping[str, Any]) -> None:
 
 
 def _plot(file: Path, scenario: Scenario, path: ProbePath, record: ProbeRecord) -> None:
-    from testbed.trials.probes import (
+    from testbed.probes.air_probe import (
         closed_form,
         coherence_band,
         estimate,
@@ -180,7 +181,6 @@ def _plot(file: Path, scenario: Scenario, path: ProbePath, record: ProbeRecord) 
         unresolved_waves,
     )
     from testbed.views.air_figure import WindFigureData, wind_figure
-    from testbed.views.matplotlib_backend import save_figure
 
     velocity = record.about_mean(path.course)
     found = estimate(velocity, path.rate_hz)
@@ -200,8 +200,7 @@ def _plot(file: Path, scenario: Scenario, path: ProbePath, record: ProbeRecord) 
         and (closed.coherence, *coherence_band(closed.coherence, found.freedom)),
         unresolved=unresolved_waves(scenario, path),
     )
-    with report_write_errors(f"--plot {file}"):
-        save_figure(wind_figure(picture), file)
+    save_plot(wind_figure(picture), file)
 
 
 def _document(scenario: Scenario, path: ProbePath, record: ProbeRecord) -> dict[str, Any]:
@@ -271,19 +270,9 @@ def _from_deg(wind: Array) -> float | None:
 
 
 def _table(document: Mapping[str, Any]) -> Table:
-    table = ruled_table()
-    table.add_column(Text("\nprobe", style="bold"), no_wrap=True)
-    for name in (
-        "wind\nm/s",
-        "\nfrom",
-        "rms, m/s\nu forward",
-        "\nv right",
-        "\nw down",
-        "rms, °/s\np roll",
-        "\nq pitch",
-        "\nr yaw",
-    ):
-        table.add_column(name, justify="right", no_wrap=True)
+    turbulence = ("rms, m/s\nu forward", "\nv right", "\nw down")
+    rates = ("rms, °/s\np roll", "\nq pitch", "\nr yaw")
+    table = ruled_table("\nprobe", "wind\nm/s", "\nfrom", *turbulence, *rates)
     for probe in document["probes"]:
         from_deg = probe["mean_wind_from_deg"]
         table.add_row(

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from testbed.cli.exit_codes import ExitCode
-from testbed.cli.options import JsonFile
+from testbed.cli.options import JsonFile, value_option
 from testbed.cli.output import (
     PipeSafeConsole,
     message_console,
@@ -68,14 +68,11 @@ def arduplane_command(
         ),
     ] = "autopilot",
     aircraft: Annotated[
-        str, typer.Option("--aircraft", metavar="AIRCRAFT", help="Name or folder of the aircraft.")
+        str, value_option("AIRCRAFT", "Name or folder of the aircraft.", "--aircraft")
     ] = "rascal110",
     arduplane: Annotated[
         Path | None,
-        typer.Option(
-            metavar="PATH",
-            help="ArduPlane binary.  \\[default: the environment variable ARDUPLANE]",
-        ),
+        value_option("PATH", "ArduPlane binary.  \\[default: the environment variable ARDUPLANE]"),
     ] = None,
     json: JsonFile = None,
 ) -> None:
@@ -137,9 +134,9 @@ def check_arduplane(
         InputError: there is no program, or it cannot be started or flown with the parameters.
         ExternalProgramLost: it ends, or does not answer.
     """
+    from testbed.ardupilot.sitl_parameters import tune_report
+    from testbed.ardupilot.sitl_process import find_binary
     from testbed.autopilot.parameters import read_params
-    from testbed.autopilot.sitl_parameters import tune_report
-    from testbed.autopilot.sitl_process import find_binary
     from testbed.runs.external_options import ExternalOptions
 
     binary = find_binary(arduplane)
@@ -244,7 +241,7 @@ def _show_check(document: Mapping[str, Any], console: PipeSafeConsole) -> None:
 
 
 def _show_params(tune: Path, json: Path | None) -> None:
-    from testbed.autopilot.sitl_parameters import tune_report
+    from testbed.ardupilot.sitl_parameters import tune_report
 
     report = tune_report(tune)
     use = report.use
@@ -273,6 +270,5 @@ def _show_params(tune: Path, json: Path | None) -> None:
 
 
 def _some(names: Sequence[str]) -> str:
-    """Join the first names, and their number."""
     more = f", … {len(names)} in all" if len(names) > _SHOWN else ""
     return (", ".join(names[:_SHOWN]) or "none") + more

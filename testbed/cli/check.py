@@ -18,6 +18,7 @@ from testbed.cli.options import (
     output_option,
     positive_option,
     scenario_names,
+    value_option,
 )
 from testbed.cli.output import (
     PipeSafeConsole,
@@ -33,8 +34,8 @@ from testbed.core.errors import InputError, raise_memory_shortage
 from testbed.core.files import check_folder_writable, check_writable, report_write_errors
 
 if TYPE_CHECKING:
-    from testbed.studies.golden import GoldenCase
-    from testbed.studies.golden_compare import Verdict
+    from testbed.golden.golden import GoldenCase
+    from testbed.golden.golden_compare import Verdict
 
 
 class Annotations(StrEnum):
@@ -62,9 +63,9 @@ def check_command(
     overrides: Overrides = None,
     tolerance: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="5%|NAME=5%",
-            help="Numbers may be worse by this much, and better by any: all, or of one quantity, "
+        value_option(
+            "5%|NAME=5%",
+            "Numbers may be worse by this much, and better by any: all, or of one quantity, "
             "as rms_m=5% or rms_m=0.1; may be repeated.  \\[default: the scenario's expect, else "
             "1 mm for the same seed]",
         ),
@@ -77,40 +78,37 @@ def check_command(
     ] = None,
     reports: Annotated[
         Path | None,
-        typer.Option(
-            metavar="DIR",
-            help="Fly a failing seed of each failed scenario again, with log and report.html in "
+        value_option(
+            "DIR",
+            "Fly a failing seed of each failed scenario again, with log and report.html in "
             "DIR/SCENARIO.",
-            callback=check_output_folder,
+            check=check_output_folder,
         ),
     ] = None,
     annotations: Annotated[
         Annotations | None,
-        typer.Option(
-            metavar="github",
-            help="Also print each error as an annotation of a file and line, for GitHub.",
+        value_option(
+            "github", "Also print each error as an annotation of a file and line, for GitHub."
         ),
     ] = None,
     golden: Annotated[
         Path | None,
-        typer.Option(
-            metavar="DIR", help="Folder of the tables.  \\[default: golden/ beside each scenario]"
-        ),
+        value_option("DIR", "Folder of the tables.  \\[default: golden/ beside each scenario]"),
     ] = None,
     trend: Annotated[
         Path | None,
-        typer.Option(
-            metavar="DIR",
-            help="Fly nothing: show the numbers of kept results of --json over commits, one file "
+        value_option(
+            "DIR",
+            "Fly nothing: show the numbers of kept results of --json over commits, one file "
             "in DIR for each, in order of their names.",
         ),
     ] = None,
     figures: Annotated[
         Path | None,
-        typer.Option(
-            metavar="DIR",
-            help="With --trend, draw each quantity over the commits as a file in this folder.",
-            callback=check_output_folder,
+        value_option(
+            "DIR",
+            "With --trend, draw each quantity over the commits as a file in this folder.",
+            check=check_output_folder,
         ),
     ] = None,
     format: FigureFormat = None,
@@ -118,8 +116,7 @@ def check_command(
         bool, typer.Option("--update", help="Write new tables instead; needs --reason.")
     ] = False,
     reason: Annotated[
-        str | None,
-        typer.Option(metavar="TEXT", help="Why the numbers change; stored in the tables."),
+        str | None, value_option("TEXT", "Why the numbers change; stored in the tables.")
     ] = None,
     ignore_bounds: Annotated[
         bool,
@@ -132,24 +129,19 @@ def check_command(
 ) -> None:
     """Fly scenarios and compare their metrics with golden tables."""
     from testbed.cli.progress import progress_counter
-    from testbed.studies.golden import check, find_cases, update_tables
-    from testbed.studies.golden_annotations import annotations_of, input_annotations, to_github
-    from testbed.studies.golden_ci import to_junit, to_markdown, write_junit
-    from testbed.studies.golden_report import print_check, print_updates, to_document
-    from testbed.studies.golden_tolerance import parse_tolerances
+    from testbed.golden.golden import check, find_cases, update_tables
+    from testbed.golden.golden_annotations import annotations_of, input_annotations, to_github
+    from testbed.golden.golden_ci import to_junit, to_markdown, write_junit
+    from testbed.golden.golden_report import print_check, print_updates, to_document
+    from testbed.golden.golden_tolerance import parse_tolerances
 
     ending = figure_format(format, figures)
     if trend is not None:
-        changed: dict[str, object] = {
-            "--seeds": seeds,
-            "--set": overrides,
-            "--tolerance": tolerance,
-            "--jobs": jobs,
-        }
-        changed |= {"--junit": junit, "--summary": summary, "--reports": reports}
-        changed |= {"--annotations": annotations, "--golden": golden, "--update": update or None}
-        changed["--ignore-bounds"] = ignore_bounds or None
-        for option, value in {**changed, "--reason": reason}.items():
+        flown = {"--seeds": seeds, "--set": overrides, "--tolerance": tolerance, "--jobs": jobs}
+        files = {"--junit": junit, "--summary": summary, "--reports": reports}
+        kinds = {"--annotations": annotations, "--golden": golden, "--update": update or None}
+        last = {"--ignore-bounds": ignore_bounds or None, "--reason": reason}
+        for option, value in {**flown, **files, **kinds, **last}.items():
             if value is not None:
                 raise InputError(f"{option}: --trend flies nothing; leave {option} out")
         show_trend(trend, scenarios or (), json=json, figures=figures, ending=ending)
@@ -232,10 +224,10 @@ def _write_reports(
 ) -> None:
     """Fly a failing seed of each failed scenario again, and write its log and report."""
     from testbed.cli.report import write_report
+    from testbed.golden.golden_report import failing_seeds
     from testbed.reports import read_run, run_page
     from testbed.runs.run import run
     from testbed.scenario import set_seed
-    from testbed.studies.golden_report import failing_seeds
 
     names: set[str] = set()
     for case, verdict in zip(cases, verdicts, strict=True):

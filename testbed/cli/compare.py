@@ -11,7 +11,7 @@ import typer
 from rich.table import Table
 
 from testbed.cli.exit_codes import ExitCode
-from testbed.cli.options import JsonFile, RrdFile, RunName, output_option
+from testbed.cli.options import JsonFile, RrdFile, RunName, output_option, value_option
 from testbed.cli.output import (
     MISSING,
     PipeSafeConsole,
@@ -24,8 +24,8 @@ from testbed.core.errors import InputError
 from testbed.core.files import report_write_errors
 
 if TYPE_CHECKING:
+    from testbed.golden.compare_runs import MetricPair, PositionDifference, RunDifference
     from testbed.logs.read import RunLog
-    from testbed.studies.compare_runs import MetricPair, PositionDifference, RunDifference
 
 MAX_LINES = 12  # of differences of the scenarios, and of versions
 
@@ -42,9 +42,9 @@ def compare_command(
     ] = False,
     within: Annotated[
         float | None,
-        typer.Option(
-            metavar="SHARE",
-            help="With --numbers: relative tolerance of metrics, such as 0.01; samples and events "
+        value_option(
+            "SHARE",
+            "With --numbers: relative tolerance of metrics, such as 0.01; samples and events "
             "are then not compared.  \\[default: every bit must be equal]",
         ),
     ] = None,
@@ -68,8 +68,8 @@ def compare_command(
     if not numbers:
         overlay_runs(first, second, rrd=rrd)
         return
+    from testbed.golden.compare_runs import compare_runs
     from testbed.logs.run_directory import find_run
-    from testbed.studies.compare_runs import compare_runs
 
     paths = find_run(first), find_run(second)
     logs = _read(paths[0]), _read(paths[1])
@@ -218,7 +218,7 @@ def _document(found: RunDifference, paths: Sequence[Path]) -> dict[str, Any]:
 
 
 def _format(value: float | None) -> str:
-    from testbed.studies.golden_report import format_number
+    from testbed.golden.golden_report import format_number
 
     return MISSING if value is None else format_number(value)
 

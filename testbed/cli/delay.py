@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
 from rich.table import Table
-from rich.text import Text
 
 from testbed.cli.margins import Method
 from testbed.cli.options import (
@@ -17,36 +16,25 @@ from testbed.cli.options import (
     Overrides,
     ScenarioName,
     error_places,
+    figure_option,
+    list_option,
     load_scenario,
-    output_option,
+    split_list,
+    value_option,
 )
-from testbed.cli.output import MISSING, result_console, ruled_table, write_json_output
+from testbed.cli.output import MISSING, result_console, ruled_table, save_plot, write_json_output
 from testbed.core.errors import InputError
-from testbed.core.files import report_write_errors
-from testbed.core.numbers import parse_number
 
 if TYPE_CHECKING:
+    from testbed.linear.delay_flight import SteadyErrors
     from testbed.scenario import Scenario
-    from testbed.trials.delay_flight import SteadyErrors
     from testbed.views.delay_figure import FollowerOffsets
 
 LONGEST_DELAY_S, LARGEST_BANK_DEG = 5.0, 60.0
 AXES = ("forward", "right", "down")
 
 
-def _read_delays(parameter: typer.CallbackParam, text: str) -> str:
-    """Check the delays of --delays; a typer callback."""
-    for part in text.split(","):
-        delay = parse_number(part.strip())
-        if delay is None or not 0.0 <= delay <= LONGEST_DELAY_S:
-            raise InputError(
-                f"--delays {text}: write delays of 0 to {LONGEST_DELAY_S:g} s, such as 0.1,0.2,0.5"
-            )
-    return text
-
-
 def _read_bank(parameter: typer.CallbackParam, bank: float) -> float:
-    """Check --bank; a typer callback."""
     if not -LARGEST_BANK_DEG <= bank <= LARGEST_BANK_DEG:
         raise InputError(
             f"--bank {bank:g}: write -{LARGEST_BANK_DEG:g} to {LARGEST_BANK_DEG:g} degrees; 0 is "
@@ -69,18 +57,20 @@ def delay_command(
     scenario: ScenarioName,
     delays: Annotated[
         str,
-        typer.Option(
-            metavar="S,...",
-            help="Delays of all messages, seconds.",
-            callback=_read_delays,
+        list_option(
+            "S,...",
+            "Delays of all messages, seconds.",
+            0.0,
+            LONGEST_DELAY_S,
+            f"delays of 0 to {LONGEST_DELAY_S:g} s, such as 0.1,0.2,0.5",
         ),
     ] = "0.1,0.2,0.5",
     bank: Annotated[
         float,
-        typer.Option(
-            metavar="DEG",
-            help="Bank of the steady turn, degrees, clockwise if positive; 0: straight.",
-            callback=_read_bank,
+        value_option(
+            "DEG",
+            "Bank of the steady turn, degrees, clockwise if positive; 0: straight.",
+            check=_read_bank,
         ),
     ] = 0.0,
     overrides: Overrides = None,
@@ -90,11 +80,7 @@ def delay_command(
     ] = Method.PREDICTED,
     json: JsonFile = None,
     plot: Annotated[
-        Path | None,
-        output_option(
-            help="Draw the offsets over the delay: .png, .pdf or .svg.",
-            suffixes=(".png", ".pdf", ".svg"),
-        ),
+        Path | None, figure_option("Draw the offsets over the delay: .png, .pdf or .svg.")
     ] = None,
 ) -> None:
     """Find how far late messages leave the followers from their slots in steady flight.
@@ -113,7 +99,7 @@ def delay_command(
     from testbed.cli.progress import progress_counter
 
     loaded = load_scenario(scenario, overrides)
-    times = [float(part.strip()) for part in dict.fromkeys(delays.split(","))]
+    times = split_list(delays)
     with error_places(scenario, overrides):
         if method is Method.PREDICTED:
             rows = list(_rows(loaded, times, bank, method))
@@ -129,8 +115,7 @@ def delay_command(
     console = result_console(json)
     turn = f"at {bank:g}° of bank" if bank else "straight"
     profile = loaded.controller.profile
-    console.write_line(Text.assemble(" ", (loaded.name, "bold"), f" · profile {profile} · {turn}"))
-    console.write_line()
+    console.write_heading(loaded.name, f" · profile {profile} · {turn}")
     console.print_table(_table(loaded.aircraft_names[1:], rows))
     for row in rows:
         for how, found in (("predicted", row.predicted), ("flown", row.flown)):
@@ -143,7 +128,7 @@ def delay_command(
 def _rows(
     scenario: Scenario, delays: Sequence[float], bank: float, method: Method
 ) -> Iterator[_DelayRow]:
-    from testbed.trials.delay_flight import (
+    from testbed.linear.delay_flight import (
         Origin,
         fly_errors,
         predict_errors,
@@ -166,23 +151,20 @@ def _rows(
 
 
 def _differ(late: SteadyErrors, perfect: SteadyErrors) -> SteadyErrors:
-    from testbed.trials.delay_flight import SteadyErrors
+    from testbed.linear.delay_flight import SteadyErrors
 
     offset = late.error_m - perfect.error_m
     return SteadyErrors(offset, late.problem or perfect.problem, late.note or perfect.note)
 
 
 def _table(names: Sequence[str], rows: Sequence[_DelayRow]) -> Table:
-    table = ruled_table()
-    table.add_column(Text("delay\ns", style="bold"), justify="right", no_wrap=True)
-    table.add_column("extrapol.\nfrom", no_wrap=True)
-    table.add_column("\nfollower", no_wrap=True)
-    hows = ("predicted", "flown")
-    present = [how for how in hows if getattr(rows[0], how) is not None]
-    for how in present:
-        for axis in AXES:
-            heading = f"{how}, m" if axis == AXES[0] else ""
-            table.add_column(f"{heading}\n{axis}", justify="right", no_wrap=True)
+    present = [how for how in ("predicted", "flown") if getattr(rows[0], how) is not None]
+    numbers = [
+        f"{'' if k else f'{how}, m'}\n{axis}" for how in present for k, axis in enumerate(AXES)
+    ]
+    lead = ("delay\ns", "extrapol.\nfrom", "\nfollower")
+    table = ruled_table(*lead, *numbers, left=lead[1:])
+    table.columns[0].justify = "right"
     for row in rows:
         for i, name in enumerate(names):
             cells: list[str] = []
@@ -234,13 +216,11 @@ def _document(scenario: Scenario, bank: float, rows: Sequence[_DelayRow]) -> dic
 
 def _draw(scenario: Scenario, bank: float, rows: Sequence[_DelayRow], file: Path) -> None:
     from testbed.views.delay_figure import delay_figure
-    from testbed.views.matplotlib_backend import save_figure
 
     turn = f"at {bank:g}° of bank" if bank else "straight"
     subtitle = f"offset by late messages, {turn}, profile {scenario.controller.profile}"
     followers = [_of_follower(name, i, rows) for i, name in enumerate(scenario.aircraft_names[1:])]
-    with report_write_errors(f"--plot {file}"):
-        save_figure(delay_figure(scenario.name, subtitle, followers), file)
+    save_plot(delay_figure(scenario.name, subtitle, followers), file)
 
 
 def _of_follower(name: str, i: int, rows: Sequence[_DelayRow]) -> FollowerOffsets:

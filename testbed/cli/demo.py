@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from testbed.cli.exit_codes import ExitCode
+from testbed.cli.options import value_option
 from testbed.cli.output import describe_file, message_console, result_console
-from testbed.cli.progress import activity, progress_counter
+from testbed.cli.progress import activity
 from testbed.core.files import report_write_errors
 
 if TYPE_CHECKING:
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
     from testbed.metrics.model import Metrics
     from testbed.runs.run import Run
     from testbed.scenario import Scenario
-    from testbed.views.pillow_backend import Drawing
 
 SCENARIO, DURATION_S = "bursty-wifi", 90.0
 SHOWN_AS = "demo"  # name of the run, by which other commands find it
@@ -37,8 +37,7 @@ PHASES = 4
 
 def demo_command(
     out: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Folder to create.  \\[default: logs/demo/UTC-ID]"),
+        Path | None, value_option("DIR", "Folder to create.  \\[default: logs/demo/UTC-ID]")
     ] = None,
 ) -> None:
     """Fly, film and report a short flight: four aircraft whose radio loses a fifth of all packets.
@@ -104,27 +103,15 @@ def _fly(scenario: Scenario, out: Path | None) -> Run:
 
 
 def _film(log: RunLog, path: Path) -> None:
-    from testbed.cli.video import choose_frames
-    from testbed.core.files import write_file
-    from testbed.views.pillow_backend import save_video
+    from testbed.cli.video import choose_frames, draw_video
     from testbed.views.recorded_runs import scene_and_batch
     from testbed.views.video import FlightVideo
 
     scene, batch = scene_and_batch(log)
     frames = choose_frames(batch.time, *FILM_S, FILM_SPEED, FILM_FPS)
     film = FlightVideo(scene, batch, frames, FILM_PX)
-    total = len(frames)
-    with (
-        report_write_errors(path),
-        write_file(path) as file,
-        progress_counter("film", total=total, unit="pictures") as progress,
-    ):
-
-        def render(number: int) -> Drawing:
-            progress(number, total)
-            return film.frame(number)
-
-        save_video(file, path.suffix, render, total, 1000 // FILM_FPS, film.colours)
+    with report_write_errors(path):
+        draw_video(film, path, len(frames), FILM_FPS, "film")
 
 
 @contextmanager
@@ -137,7 +124,6 @@ def _phase(number: int, name: str, messages: PipeSafeConsole) -> Iterator[None]:
 
 
 def _errors(metrics: Metrics) -> str:
-    """Describe the errors of the flight."""
     window = metrics["windows"].get(WINDOW)
     if window is None:
         return "none: the formation was not complete"

@@ -12,7 +12,7 @@ from typing import IO, TYPE_CHECKING, Annotated
 
 import typer
 
-from testbed.cli.options import RunName, StartTime
+from testbed.cli.options import RunName, StartTime, value_option
 from testbed.cli.output import (
     check_output_path,
     describe_file,
@@ -62,21 +62,21 @@ def export_command(
     run: RunName,
     form: Annotated[
         Format,
-        typer.Option(
-            "--format",
-            metavar="FORMAT",
-            help="csv, parquet: a table with a row per sample and aircraft. npz: NumPy arrays. "
+        value_option(
+            "FORMAT",
+            "csv, parquet: a table with a row per sample and aircraft. npz: NumPy arrays. "
             "foxglove: the log with a 3D scene. foxglove-layout, plotjuggler: a layout for this "
             "program, which opens the log itself. ros2: a folder that `ros2 bag` reads.",
+            "--format",
         ),
     ],
     out: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="File to write, with ros2 a new folder; - is stdout.  \\[default: run.FORMAT "
+        value_option(
+            "FILE",
+            "File to write, with ros2 a new folder; - is stdout.  \\[default: run.FORMAT "
             "beside the log]",
-            callback=_check_out,
+            check=_check_out,
         ),
     ] = None,
     start_time: StartTime = None,
@@ -131,7 +131,7 @@ def export_command(
 
 def _write_scene_log(flight: FlightData, path: Path) -> None:
     from testbed.core.files import replacement
-    from testbed.runs.progress import FlightProgress, make_display
+    from testbed.runs.flight_progress import FlightProgress, make_display
     from testbed.views.foxglove_scene import write_scene_log
 
     target = Path("/dev/stdout") if is_stdout(path) else path
@@ -186,7 +186,7 @@ def recover_command(run: RunName) -> None:
     Every readable sample and event is kept. Numbers of the network and the duration of the run are
     not in the log, and are null.
     """
-    from testbed.metrics.tables import render_table
+    from testbed.metrics.printed_tables import render_table
     from testbed.runs.recover import recover
 
     found = recover(run)

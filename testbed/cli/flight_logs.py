@@ -13,7 +13,14 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from testbed.cli.options import Overrides, ScenarioName, finite_option, load_scenario, output_option
+from testbed.cli.options import (
+    Overrides,
+    ScenarioName,
+    finite_option,
+    load_scenario,
+    output_option,
+    value_option,
+)
 from testbed.cli.output import message_console, result_console
 from testbed.cli.progress import progress_counter
 from testbed.core.errors import InputError
@@ -22,9 +29,9 @@ from testbed.core.numbers import parse_number
 
 if TYPE_CHECKING:
     from testbed.core.records import NedOrigin
-    from testbed.mavlink.flight_import import ImportedFlight
-    from testbed.recordings.motion import Motion
-    from testbed.recordings.tracks import Track
+    from testbed.flight_logs.flight_import import ImportedFlight
+    from testbed.flight_logs.recorded_motion import Motion
+    from testbed.flight_logs.tracks import Track
 
 _FBWA = "FBWA"
 
@@ -40,21 +47,18 @@ def import_command(
     out: Annotated[Path, output_option(metavar="CSV", help="The recording to write.")],
     columns: Annotated[
         Path | None,
-        typer.Option(
-            metavar="MAP.yaml", help="Columns and units of a CSV file that is not ArduPlane's."
-        ),
+        value_option("MAP.yaml", "Columns and units of a CSV file that is not ArduPlane's."),
     ] = None,
     scenario: Annotated[
         str | None,
-        typer.Option(
-            metavar="SCENARIO",
-            help="Positions about the origin of this scenario.  \\[default: the first position, "
+        value_option(
+            "SCENARIO",
+            "Positions about the origin of this scenario.  \\[default: the first position, "
             "at home's height]",
         ),
     ] = None,
     system: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="System of a .tlog to import.  \\[default: the only one]"),
+        int | None, value_option("N", "System of a .tlog to import.  \\[default: the only one]")
     ] = None,
     begin: Annotated[
         float | None,
@@ -68,10 +72,7 @@ def import_command(
     end: Annotated[float | None, finite_option("S", "Import nothing later.", "--to")] = None,
     mode: Annotated[
         str | None,
-        typer.Option(
-            metavar="MODE",
-            help="Import flight in this mode only; any: in all.  \\[default: FBWA]",
-        ),
+        value_option("MODE", "Import flight in this mode only; any: in all.  \\[default: FBWA]"),
     ] = None,
 ) -> None:
     """Convert a log of a real flight to a recording.
@@ -87,8 +88,8 @@ def import_command(
     origin = None if scenario is None else _origin_of(scenario)
     console = result_console()
     if columns is None:
-        from testbed.mavlink.flight_import import read_flight
-        from testbed.recordings.motion import Motion
+        from testbed.flight_logs.flight_import import read_flight
+        from testbed.flight_logs.recorded_motion import Motion
 
         found = read_flight(
             flight, system=system, begin=first, end=last, mode=_FBWA if mode is None else mode
@@ -98,8 +99,8 @@ def import_command(
     else:
         import numpy as np
 
-        from testbed.recordings.column_map import read_mapped
-        from testbed.recordings.motion import longest_section
+        from testbed.flight_logs.column_map import read_mapped
+        from testbed.flight_logs.recorded_motion import longest_section
 
         for option, value in (("--system", system), ("--mode", mode)):
             if value is not None:
@@ -109,8 +110,8 @@ def import_command(
         time = motion.columns["t_s"]
         rates_hz = dict.fromkeys(motion.columns, 1.0 / float(np.median(np.diff(time))))
     motion = _complete(motion, origin, home_m, flight)
-    from testbed.recordings.motion import to_csv
-    from testbed.vehicle.command_files import write_sources
+    from testbed.commissioning.command_files import write_sources
+    from testbed.flight_logs.recorded_motion import to_csv
 
     text = to_csv(motion)
     with report_write_errors(f"--out {out}"):
@@ -133,7 +134,7 @@ def _origin_of(scenario: str) -> NedOrigin:
 
 
 def _mapped_flight(motion: Motion, notes: tuple[str, ...]) -> ImportedFlight:
-    from testbed.mavlink.flight_import import ImportedFlight
+    from testbed.flight_logs.flight_import import ImportedFlight
 
     return ImportedFlight(
         motion.columns, motion.sources, {}, (*motion.notes, *notes), ("CSV file",)
@@ -144,8 +145,8 @@ def _complete(
     motion: Motion, origin: NedOrigin | None, home_m: float | None, flight: Path
 ) -> Motion:
     """Add the columns of a leader about an origin, where there is a position."""
-    from testbed.mavlink.log_position import POSITION
-    from testbed.recordings.motion import complete, default_origin
+    from testbed.flight_logs.log_position import POSITION
+    from testbed.flight_logs.recorded_motion import complete, default_origin
 
     if origin is None and motion.columns.keys() >= {*POSITION}:
         origin = default_origin(motion, home_m)
@@ -195,8 +196,8 @@ def _print_uses(
     console: Console, flight: ImportedFlight, motion: Motion, out: Path, scenario: str | None
 ) -> None:
     """Print what the recording can be used for."""
+    from testbed.flight_logs.recorded_motion import COMMANDS
     from testbed.guidance.recorded_path import COLUMNS
-    from testbed.recordings.motion import COMMANDS
 
     columns, time = motion.columns, motion.columns["t_s"]
     lacking = [name for name in COMMANDS if name not in columns]
@@ -245,18 +246,16 @@ def import_formation_command(
     ],
     out: Annotated[
         Path | None,
-        typer.Option(
-            metavar="DIR", help="Run directory to create.  \\[default: logs/SCENARIO/UTC-ID]"
-        ),
+        value_option("DIR", "Run directory to create.  \\[default: logs/SCENARIO/UTC-ID]"),
     ] = None,
     overrides: Overrides = None,
     start: Annotated[
         str | None,
-        typer.Option(
-            metavar="TIME",
-            help="Time 0 of the run, ISO 8601 such as 2026-05-01T09:30:00Z.  \\[default: the first "
+        value_option(
+            "TIME",
+            "Time 0 of the run, ISO 8601 such as 2026-05-01T09:30:00Z.  \\[default: the first "
             "time that all logs have]",
-            callback=_read_start,
+            check=_read_start,
         ),
     ] = None,
     begin: Annotated[
@@ -265,14 +264,14 @@ def import_formation_command(
     end: Annotated[float | None, finite_option("S", "Take nothing later.", "--to")] = None,
     offset: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="NAME=S",
-            help="Add seconds to the times of an aircraft's log; of a log that knows no time of "
+        value_option(
+            "NAME=S",
+            "Add seconds to the times of an aircraft's log; of a log that knows no time of "
             "day, its UNIX time at t_s 0. May be repeated.",
         ),
     ] = None,
     mode: Annotated[
-        str, typer.Option(metavar="MODE", help="Take flight in this mode only; any: in all.")
+        str, value_option("MODE", "Take flight in this mode only; any: in all.")
     ] = "any",
 ) -> None:
     """Make a run of the logs of several real aircraft that flew a formation.
@@ -284,9 +283,9 @@ def import_formation_command(
     _check_ends(begin, end)
     from testbed.core.records import NedOrigin
     from testbed.core.start_time import start_unix_ns
-    from testbed.metrics.tables import render_table
-    from testbed.recordings.formation import write_formation
-    from testbed.recordings.tracks import read_tracks
+    from testbed.flight_logs.recorded_formation import write_formation
+    from testbed.flight_logs.tracks import read_tracks
+    from testbed.metrics.printed_tables import render_table
 
     shifts = dict(_parse_offset(text) for text in offset or ())
     if len(shifts) < len(offset or ()):

@@ -17,25 +17,27 @@ from testbed.cli.options import (
     Overrides,
     ScenarioName,
     error_places,
+    figure_option,
+    list_option,
     load_scenario,
-    output_option,
     positive_option,
+    split_list,
+    value_option,
 )
 from testbed.cli.output import (
     MISSING,
     message_console,
     result_console,
     ruled_table,
+    save_plot,
     write_json_output,
 )
 from testbed.core.errors import InputError
-from testbed.core.files import report_write_errors
-from testbed.core.numbers import parse_number
 
 if TYPE_CHECKING:
     from testbed.core.records import Array
+    from testbed.linear.pooled_response import Question, StringResponse
     from testbed.scenario import Scenario
-    from testbed.studies.frequency_response import Question, StringResponse
 
 MOST_ROWS = 12  # of a table
 SMALLEST_SHOWN = 1e-6  # m per unit of the input; less is rounding
@@ -66,25 +68,13 @@ class OutputName(StrEnum):
 _UNITS = {"leader": "m of the leader", "gust": "m/s of the gust", "message": "m of the message"}
 
 
-def _read_frequencies(parameter: typer.CallbackParam, text: str | None) -> str | None:
-    """Check the frequencies of --flown; a typer callback."""
-    for part in (text or "").split(",") if text is not None else ():
-        value = parse_number(part.strip())
-        if value is None or not LOWEST_HZ <= value <= HIGHEST_HZ:
-            raise InputError(
-                f"--flown {text}: write frequencies of {LOWEST_HZ:g} to {HIGHEST_HZ:g} Hz, such as "
-                "0.02,0.1,0.3"
-            )
-    return text
-
-
 def frequency_response_command(
     scenario: ScenarioName,
     input: Annotated[
         InputName,
-        typer.Option(
-            metavar="INPUT",
-            help="What swings: leader-speed, leader-weave or leader-height; gust-forward, "
+        value_option(
+            "INPUT",
+            "What swings: leader-speed, leader-weave or leader-height; gust-forward, "
             "gust-right or gust-down; or the position in messages, message-forward, "
             "message-right or message-down.",
         ),
@@ -98,16 +88,16 @@ def frequency_response_command(
     ] = OutputName.SLOT_ERROR,
     sender: Annotated[
         str | None,
-        typer.Option(
-            metavar="AIRCRAFT", help="Whose messages swing.  \\[default: those of the leader]"
-        ),
+        value_option("AIRCRAFT", "Whose messages swing.  \\[default: those of the leader]"),
     ] = None,
     flown: Annotated[
         str | None,
-        typer.Option(
-            metavar="HZ,...",
-            help="Measure the response by flights at these frequencies, too.",
-            callback=_read_frequencies,
+        list_option(
+            "HZ,...",
+            "Measure the response by flights at these frequencies, too.",
+            LOWEST_HZ,
+            HIGHEST_HZ,
+            f"frequencies of {LOWEST_HZ:g} to {HIGHEST_HZ:g} Hz, such as 0.02,0.1,0.3",
         ),
     ] = None,
     factor: Annotated[
@@ -123,10 +113,7 @@ def frequency_response_command(
     jobs: Jobs = None,
     plot: Annotated[
         Path | None,
-        output_option(
-            help="Draw amplitudes and gains per hop over frequency, as .png, .pdf or .svg.",
-            suffixes=(".png", ".pdf", ".svg"),
-        ),
+        figure_option("Draw amplitudes and gains per hop over frequency, as .png, .pdf or .svg."),
     ] = None,
     json: JsonFile = None,
 ) -> None:
@@ -143,8 +130,8 @@ def frequency_response_command(
     is 1 or less where the leader's share of the follower's gains is at least the one needed.
     """
     from testbed.cli.progress import progress_counter
-    from testbed.studies.flight_pool import open_flight_pool
-    from testbed.studies.frequency_response import Question, response_of, to_document
+    from testbed.linear.pooled_response import Question, response_of, to_document
+    from testbed.pool.flight_pool import open_flight_pool
 
     if factor != 1.0 and flown is None:
         raise InputError(
@@ -155,7 +142,7 @@ def frequency_response_command(
         input.value,
         output.value,
         _sender_row(loaded, input, sender),
-        tuple(float(part) for part in dict.fromkeys(flown.split(","))) if flown else (),
+        tuple(split_list(flown)) if flown else (),
         factor,
     )
     messages = message_console()
@@ -170,12 +157,7 @@ def frequency_response_command(
     write_json_output(json, to_document(loaded, asked, found))
     unit = _UNITS[input.value.partition("-")[0]]
     console = result_console(json)
-    console.write_line(
-        Text.assemble(
-            " ", (loaded.name, "bold"), f" · {input.value} · {output.value}, m per {unit}"
-        )
-    )
-    console.write_line()
+    console.write_heading(loaded.name, f" · {input.value} · {output.value}, m per {unit}")
     rows = _worst_rows(found)
     console.print_table(_table(found, rows))
     if len(rows) < len(found.followers):
@@ -209,18 +191,15 @@ def _worst_rows(found: StringResponse) -> list[int]:
 
 
 def _table(found: StringResponse, rows: list[int]) -> Table:
-    from testbed.studies.frequency_response import largest_differences
+    from testbed.linear.pooled_response import largest_differences
 
-    table = ruled_table()
-    for name in ("\nfollower", "\nahead"):
-        table.add_column(Text(name, style="bold"), no_wrap=True)
-    titles = ["\npeak", "at\nHz", "per\nhop", "passed\non L2", "\nL∞"]
+    titles = ["\nfollower", "\nahead", "\npeak", "at\nHz", "per\nhop", "passed\non L2", "\nL∞"]
     titles += ["leader\nshare", "\nneeds"]
     differences = [] if found.flown is None else largest_differences(found)
     if differences:
         titles += ["flown\n%", "hop\n%"]
-    for name in titles:
-        table.add_column(name, justify="right", no_wrap=True)
+    table = ruled_table(*titles, left=titles[1:2])
+    table.columns[1].header = Text(titles[1], "bold")
     frequency = found.predicted.frequency_hz
     for i in rows:
         hop = found.hops[i]
@@ -263,7 +242,6 @@ def _plot(
         ResponseCurves,
         frequency_response_figure,
     )
-    from testbed.views.matplotlib_backend import save_figure
 
     n = len(found.followers)
     rows = np.unique(np.linspace(0, n - 1, min(n, len(COLOURS))).round().astype(int)).tolist()
@@ -287,5 +265,4 @@ def _plot(
             for i in rows
         ],
     )
-    with report_write_errors(f"--plot {file}"):
-        save_figure(frequency_response_figure(picture), file)
+    save_plot(frequency_response_figure(picture), file)

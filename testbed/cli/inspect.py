@@ -11,7 +11,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from testbed.cli.options import AircraftName, JsonFile, ParamFile, finite_option
+from testbed.cli.options import AircraftName, JsonFile, ParamFile, finite_option, value_option
 from testbed.cli.output import (
     MISSING,
     message_console,
@@ -22,9 +22,9 @@ from testbed.cli.output import (
 from testbed.core.errors import InputError
 
 if TYPE_CHECKING:
+    from testbed.commissioning.identify import FirstOrder
+    from testbed.commissioning.speed_step import SpeedStep
     from testbed.core.records import NedOrigin
-    from testbed.trials.speed_step import SpeedStep
-    from testbed.vehicle.identify import FirstOrder
     from testbed.vehicle.linearize import NaturalMode
     from testbed.vehicle.trim import TrimPoint, TrimResult
 
@@ -44,17 +44,10 @@ def _check_altitude(parameter: typer.CallbackParam, altitude: float) -> float:
 
 
 Airspeed = Annotated[float, finite_option("M/S", "True airspeed, m/s.")]
-Climb = Annotated[
-    float,
-    finite_option("DEG", "Flight path angle, degrees; negative in a descent."),
-]
-Bank = Annotated[
-    float,
-    finite_option("DEG", "Bank angle, degrees; right wing down > 0."),
-]
+Climb = Annotated[float, finite_option("DEG", "Flight path angle, degrees; negative in a descent.")]
+Bank = Annotated[float, finite_option("DEG", "Bank angle, degrees; right wing down > 0.")]
 Altitude = Annotated[
-    float,
-    typer.Option(metavar="M", help="Altitude above sea level, m.", callback=_check_altitude),
+    float, value_option("M", "Altitude above sea level, m.", check=_check_altitude)
 ]
 
 
@@ -75,7 +68,7 @@ def trim_command(
     _show_warnings(folder)
     result = trim_or_suggest(folder, point, origin)
     document = {"aircraft": folder.name, **trim_document(result)}
-    _write_result(json, document, _headline(folder, result), _trim_table(result))
+    _write_result(json, document, result, _trim_table(result))
 
 
 def linearize_command(
@@ -106,7 +99,7 @@ def linearize_command(
         "b": linear.b.tolist(),
         "modes": [_mode_document(mode) for mode in modes],
     }
-    _write_result(json, document, _headline(folder, linear.trim), _modes_table(modes))
+    _write_result(json, document, linear.trim, _modes_table(modes))
 
 
 def _show_warnings(folder: Path) -> None:
@@ -117,12 +110,14 @@ def _show_warnings(folder: Path) -> None:
 
 
 def _write_result(
-    json: Path | None, document: Mapping[str, Any], headline: Text, table: Table
+    json: Path | None, document: Mapping[str, Any], trim: TrimResult, table: Table
 ) -> None:
+    point, flight_path = trim.point, round(math.degrees(trim.flight_path_angle), 2)
+    line = f" · {point.airspeed:g} m/s · flight path {flight_path:g}°"
+    line += f" · bank {math.degrees(point.bank):g}° · altitude {point.altitude:g} m"
     write_json_output(json, document)
     console = result_console(json)
-    console.write_line(headline)
-    console.write_line()
+    console.write_heading(document["aircraft"], line)
     console.print_table(table)
 
 
@@ -134,18 +129,15 @@ def step_command(
     ] = None,
     step: Annotated[float, finite_option("M/S", "Step of the airspeed command.")] = 2.0,
     profile: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME", help="Gains of the middle loop: a profile of middle_loop.yaml."
-        ),
+        str, value_option("NAME", "Gains of the middle loop: a profile of middle_loop.yaml.")
     ] = "tuned",
     param: ParamFile = "autopilot",
     json: JsonFile = None,
 ) -> None:
     """Step the airspeed command in level flight and fit the speed model of the formation law."""
     from testbed.autopilot.parameters import read_params
+    from testbed.commissioning.speed_step import speed_step
     from testbed.scenario import find_aircraft, find_tune, load_middle_loop
-    from testbed.trials.speed_step import speed_step
 
     folder = find_aircraft(aircraft)
     gains = load_middle_loop(folder, profile)
@@ -179,8 +171,7 @@ def step_command(
     write_json_output(json, document)
     console = result_console(json)
     settings = f" · {before:g} {step:+g} m/s · profile {profile} · tune {Path(param).stem}"
-    console.write_line(Text.assemble(" ", (folder.name, "bold"), settings))
-    console.write_line()
+    console.write_heading(folder.name, settings)
     console.print_table(_step_table(response))
     console.write_line()
     console.print_table(_step_facts(response))
@@ -221,14 +212,6 @@ def _trim_point(
 
     point = TrimPoint(airspeed, math.radians(climb), math.radians(bank), altitude)
     return point, NedOrigin(elevation_m=altitude - ABOVE_GROUND)
-
-
-def _headline(folder: Path, result: TrimResult) -> Text:
-    point, flight_path = result.point, round(math.degrees(result.flight_path_angle), 2)
-    line = Text.assemble(" ", (folder.name, "bold"), f" · {point.airspeed:g} m/s")
-    line.append(f" · flight path {flight_path:g}°")
-    line.append(f" · bank {math.degrees(point.bank):g}° · altitude {point.altitude:g} m")
-    return line
 
 
 def _trim_table(result: TrimResult) -> Table:
@@ -272,12 +255,9 @@ def _load_factor(result: TrimResult) -> float:
 
 
 def _modes_table(modes: tuple[NaturalMode, ...]) -> Table:
-    table = ruled_table()
-    table.add_column(Text("\nmode", style="bold"), no_wrap=True)
-    for name in ("eigenvalue\n1/s", "freq.\nrad/s", "damp.\nratio", "time\nconst. s"):
-        table.add_column(name, justify="right", no_wrap=True)
-    table.add_column("½ or ×2\nin s", justify="right", no_wrap=True)
-    table.add_column("\nstates", style="dim", no_wrap=True)
+    titles = ("\nmode", "eigenvalue\n1/s", "freq.\nrad/s", "damp.\nratio", "time\nconst. s")
+    table = ruled_table(*titles, "½ or ×2\nin s", "\nstates", left=["\nstates"])
+    table.columns[-1].style = "dim"
     for mode in modes:
         unstable = mode.eigenvalue.real > 0.0
         states = sorted(mode.participation, key=lambda state: -mode.participation[state])
@@ -312,10 +292,8 @@ def _mode_document(mode: NaturalMode) -> dict[str, Any]:
 
 
 def _step_table(response: SpeedStep) -> Table:
-    table = ruled_table()
-    table.add_column(Text("\nspeed model", style="bold"), no_wrap=True)
-    for name in ("pole\n1/s", "time const.\ns", "delay\ns", "gain\n", "fit error\nrms, %"):
-        table.add_column(name, justify="right")
+    titles = ("pole\n1/s", "time const.\ns", "delay\ns", "gain\n", "fit error\nrms, %")
+    table = ruled_table("\nspeed model", *titles)
     for label, model in (("gain 1", response.model), ("gain fitted", response.free)):
         numbers = (model.pole, model.time_constant, model.delay, model.gain)
         table.add_row(label, *(f"{number:.3f}" for number in numbers), f"{100.0 * model.rms:.1f}")

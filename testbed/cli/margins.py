@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.table import Table
-from rich.text import Text
 
 from testbed.cli.options import (
     Jobs,
@@ -18,24 +17,25 @@ from testbed.cli.options import (
     Overrides,
     ScenarioName,
     error_places,
+    figure_option,
+    list_option,
     load_scenario,
-    output_option,
+    split_list,
 )
 from testbed.cli.output import (
     MISSING,
     message_console,
     result_console,
     ruled_table,
+    save_plot,
     write_json_output,
 )
 from testbed.core.errors import InputError
-from testbed.core.files import report_write_errors
-from testbed.core.numbers import parse_number
 
 if TYPE_CHECKING:
+    from testbed.linear.flown_margins import Margins
+    from testbed.linear.predicted_margins import Prediction
     from testbed.scenario import Scenario
-    from testbed.trials.margins import Margins
-    from testbed.trials.predicted_margins import Prediction
 
 
 class Method(StrEnum):
@@ -47,26 +47,20 @@ class Method(StrEnum):
 
 
 DEFAULT_BANKS_DEG = (0.0, 30.0, 45.0)
-
-
-def _read_banks(parameter: typer.CallbackParam, text: str | None) -> str | None:
-    """Check the banks of --bank; a typer callback."""
-    for part in (text or "").split(",") if text is not None else ():
-        bank = parse_number(part.strip())
-        if bank is None or not 0.0 <= bank <= 60.0:
-            raise InputError(f"--bank {text}: write banks of 0 to 60 degrees, such as 0,30,45")
-    return text
+COMMAND = "\ncommand"  # column
 
 
 def margins_command(
     scenario: ScenarioName,
     bank: Annotated[
         str | None,
-        typer.Option(
-            metavar="DEG,...",
-            help="Banks of the steady flights, degrees, of the follower that banks most; 0: "
+        list_option(
+            "DEG,...",
+            "Banks of the steady flights, degrees, of the follower that banks most; 0: "
             "straight.  \\[default: 0,30,45, at most 2 below the limit of the bank]",
-            callback=_read_banks,
+            0.0,
+            60.0,
+            "banks of 0 to 60 degrees, such as 0,30,45",
         ),
     ] = None,
     climb: Annotated[
@@ -89,11 +83,7 @@ def margins_command(
     jobs: Jobs = None,
     json: JsonFile = None,
     plot: Annotated[
-        Path | None,
-        output_option(
-            help="Draw the poles at each bank: .png, .pdf or .svg.",
-            suffixes=(".png", ".pdf", ".svg"),
-        ),
+        Path | None, figure_option("Draw the poles at each bank: .png, .pdf or .svg.")
     ] = None,
 ) -> None:
     """Find the damping and the margins of a formation in steady flight.
@@ -114,16 +104,14 @@ def margins_command(
     oscillations still decay.
     """
     from testbed.cli.progress import progress_counter
-    from testbed.studies.flight_pool import open_flight_pool
-    from testbed.studies.margins import margins_of, predicted_margins_of, to_document
-    from testbed.trials.steady_flight import suitable_banks
+    from testbed.linear.pooled_margins import margins_of, predicted_margins_of, to_document
+    from testbed.linear.steady_flight import suitable_banks
+    from testbed.pool.flight_pool import open_flight_pool
 
     if plot and method is Method.FLOWN:
         raise InputError("--plot: nothing is predicted to draw (write --method both)")
     loaded = load_scenario(scenario, overrides)
-    banks: Sequence[float] = DEFAULT_BANKS_DEG
-    if bank is not None:
-        banks = [float(part.strip()) for part in dict.fromkeys(bank.split(","))]
+    banks: Sequence[float] = DEFAULT_BANKS_DEG if bank is None else split_list(bank)
     with error_places(scenario, overrides):
         banks = suitable_banks(loaded, banks, asked=bank is not None)
     cases = [(loaded, each) for each in banks]
@@ -144,10 +132,7 @@ def margins_command(
     if plot:
         _draw(loaded, predicted, plot)
     console = result_console(json)
-    console.write_line(
-        Text.assemble(" ", (loaded.name, "bold"), f" · profile {loaded.controller.profile}")
-    )
-    console.write_line()
+    console.write_heading(loaded.name, f" · profile {loaded.controller.profile}")
     if any(each.followers for each in predicted):
         console.print_table(_predicted_table(predicted))
     for each in predicted:
@@ -170,7 +155,6 @@ def _draw(scenario: Scenario, predicted: Sequence[Prediction], file: Path) -> No
     """Draw the poles of the followers at the banks that have numbers."""
     import numpy as np
 
-    from testbed.views.matplotlib_backend import save_figure
     from testbed.views.poles_figure import PolesAtBank, poles_figure
 
     banks = [
@@ -184,21 +168,14 @@ def _draw(scenario: Scenario, predicted: Sequence[Prediction], file: Path) -> No
     if not banks:
         raise InputError("--plot: no bank has poles to draw, because none is steady")
     subtitle = f"poles of the linearised formation, profile {scenario.controller.profile}"
-    with report_write_errors(f"--plot {file}"):
-        save_figure(poles_figure(scenario.name, subtitle, banks), file)
+    save_plot(poles_figure(scenario.name, subtitle, banks), file)
 
 
 def _predicted_table(found: Sequence[Prediction]) -> Table:
-    from testbed.trials.linear_formation import MAX_GAIN, MAX_LATENCY_S
+    from testbed.linear.loop_margins import MAX_GAIN, MAX_LATENCY_S
 
-    table = ruled_table()
-    table.add_column(Text("\nfollower", style="bold"), no_wrap=True)
-    for name in ("bank\n°", "least\ndamped, Hz", "damp.\nratio"):
-        table.add_column(name, justify="right", no_wrap=True)
-    table.add_column("\ncommand", no_wrap=True)
-    for name in ("\nfactor", "latency\ns", "phase\n°", "dis-\ntance"):
-        table.add_column(name, justify="right", no_wrap=True)
-
+    titles = ("\nfollower", "bank\n°", "least\ndamped, Hz", "damp.\nratio", COMMAND, "\nfactor")
+    table = ruled_table(*titles, "latency\ns", "phase\n°", "dis-\ntance", left=[COMMAND])
     for at in found:
         for each in at.followers:
             mode = each.least_damped
@@ -208,23 +185,31 @@ def _predicted_table(found: Sequence[Prediction]) -> Table:
                 MISSING if mode is None else f"{mode.frequency_hz:.2f} {mode.motion}",
                 MISSING if mode is None else f"{mode.damping:.3f}",
             )
-            for number, (name, margins) in enumerate(each.commands.items()):
-                last = each is at.followers[-1] and number == len(each.commands) - 1
-                table.add_row(
-                    *(first if number == 0 else ("", "", "", "")),
-                    name,
+            rows = {
+                name: (
                     _limited(margins.gain, MAX_GAIN, 2),
                     _limited(margins.latency_s, MAX_LATENCY_S, 3),
                     _limited(margins.phase_deg, 180.0, 0),
                     f"{margins.distance:.2f}",
-                    end_section=last,
                 )
+                for name, margins in each.commands.items()
+            }
+            _add_rows(table, first, rows, last=each is at.followers[-1])
     return table
+
+
+def _add_rows(
+    table: Table, first: Sequence[str], rows: Mapping[str, Sequence[str]], *, last: bool
+) -> None:
+    """Add the rows of a follower by command, after cells that only the first of them has."""
+    for number, (name, cells) in enumerate(rows.items(), start=1):
+        table.add_row(*first, name, *cells, end_section=last and number == len(rows))
+        first = ("",) * len(first)
 
 
 def _delay_lines(straight: Prediction) -> list[str]:
     """Return what the followers bear of message delay, a line for each set of them."""
-    from testbed.trials.delay_margin import MAX_DELAY_S
+    from testbed.linear.delay_margin import MAX_DELAY_S
 
     lines = []
     for names, delay_s in straight.message_delays:
@@ -242,19 +227,14 @@ def _limited(value: float, largest: float, digits: int) -> str:
 
 def _table(found: Sequence[Margins], predicted: Sequence[Prediction]) -> Table:
     """Return what was flown, with the predicted factors and latencies where there are any."""
-    from testbed.trials.linear_formation import MAX_GAIN, MAX_LATENCY_S
-    from testbed.trials.margins import LONG_RECORD_S
+    from testbed.linear.flown_margins import LONG_RECORD_S
+    from testbed.linear.loop_margins import MAX_GAIN, MAX_LATENCY_S
 
-    table = ruled_table()
-    table.add_column(Text("flown\nfollower", style="bold"), no_wrap=True)
     bank = () if predicted else ("bank\n°",)  # the table of the predicted ones has it
-    for name in (*bank, "oscill.\nHz", "damp.\nratio", "settl.\ns"):
-        table.add_column(name, justify="right", no_wrap=True)
-    table.add_column("\ncommand", no_wrap=True)
+    titles = ["flown\nfollower", *bank, "oscill.\nHz", "damp.\nratio", "settl.\ns", COMMAND]
     for name, unit in (("factor", ""), ("latency", "s")):
-        titles = (f"{name}\npred.", "\nflown") if predicted else (f"{name}\n{unit}",)
-        for title in titles:
-            table.add_column(title, justify="right", no_wrap=True)
+        titles += (f"{name}\npred.", "\nflown") if predicted else (f"{name}\n{unit}",)
+    table = ruled_table(*titles, left=[COMMAND])
     by_bank = {at.bank_deg: {each.name: each for each in at.followers} for at in predicted}
     for at in found:
         for each in at.followers:
@@ -267,16 +247,14 @@ def _table(found: Sequence[Margins], predicted: Sequence[Prediction]) -> Table:
                 MISSING if mode is None else f"{mode.damping:.3f}",
                 settling if each.settling_s is None else f"{each.settling_s:.1f}",
             )
-            for number, (name, margins) in enumerate(each.commands.items()):
-                gains, latencies = [margins.gain], [margins.latency_s]
+            rows = {}
+            for name, margins in each.commands.items():
+                pairs = [(margins.gain, margins.latency_s)]
                 if predicted:
-                    gains.insert(0, math.nan if other is None else other.commands[name].gain)
-                    latencies.insert(
-                        0, math.nan if other is None else other.commands[name].latency_s
-                    )
+                    of = None if other is None else other.commands[name]
+                    pairs.insert(0, (math.nan,) * 2 if of is None else (of.gain, of.latency_s))
+                gains, latencies = zip(*pairs, strict=True)
                 cells = [_limited(gain, MAX_GAIN, 2) for gain in gains]
-                cells += [_limited(late, MAX_LATENCY_S, 3) for late in latencies]
-                last = each is at.followers[-1] and number == len(each.commands) - 1
-                own = first if number == 0 else ("",) * len(first)
-                table.add_row(*own, name, *cells, end_section=last)
+                rows[name] = cells + [_limited(late, MAX_LATENCY_S, 3) for late in latencies]
+            _add_rows(table, first, rows, last=each is at.followers[-1])
     return table

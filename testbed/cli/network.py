@@ -15,17 +15,19 @@ from testbed.cli.options import (
     Overrides,
     ScenarioName,
     Seed,
+    figure_option,
     load_scenario,
     output_option,
+    value_option,
 )
-from testbed.cli.output import PipeSafeConsole, result_console, write_json_output
+from testbed.cli.output import PipeSafeConsole, result_console, save_plot, write_json_output
 from testbed.core.errors import InputError
 from testbed.core.files import report_write_errors, write_text_file
 
 if TYPE_CHECKING:
     from testbed.metrics.model import LinkMetrics
+    from testbed.probes.channel_probe import MessageRecord
     from testbed.scenario import Scenario
-    from testbed.trials.channel_probe import MessageRecord
 
 MAX_PACKETS = 10_000_000
 MAX_ROWS = 50_000_000  # of all links: half a gigabyte of memory, several gigabytes of CSV
@@ -46,7 +48,7 @@ def _check_packets(parameter: typer.CallbackParam, packets: int) -> int:
 def network_command(
     scenario: ScenarioName,
     packets: Annotated[
-        int, typer.Option(metavar="N", help="Messages on every link.", callback=_check_packets)
+        int, value_option("N", "Messages on every link.", check=_check_packets)
     ] = 10_000,
     out: Annotated[
         Path | None,
@@ -61,10 +63,7 @@ def network_command(
     seed: Seed = None,
     plot: Annotated[
         Path | None,
-        output_option(
-            help="Plot what arrived on each link and how late, as .png, .pdf or .svg.",
-            suffixes=(".png", ".pdf", ".svg"),
-        ),
+        figure_option("Plot what arrived on each link and how late, as .png, .pdf or .svg."),
     ] = None,
     json: JsonFile = None,
 ) -> None:
@@ -79,8 +78,8 @@ def network_command(
     list); or muted (the transmitter was off).
     """
     from testbed.cli.progress import progress_counter
+    from testbed.probes.channel_probe import probe_channel
     from testbed.runs.stop_request import stop_on_signals
-    from testbed.trials.channel_probe import probe_channel
 
     files = {"--out": out, "--plot": plot, "--json": json}
     _check_different({option: path for option, path in files.items() if path})
@@ -123,7 +122,6 @@ def _check_different(files: Mapping[str, Path]) -> None:
 def _plot(path: Path, scenario: Scenario, document: Document, messages: MessageRecord) -> None:
     import numpy as np
 
-    from testbed.views.matplotlib_backend import save_figure
     from testbed.views.network_figure import NetworkFigureData, network_figure
 
     names = scenario.aircraft_names
@@ -143,14 +141,13 @@ def _plot(path: Path, scenario: Scenario, document: Document, messages: MessageR
         share=share,
         delays_s=delays,
     )
-    with report_write_errors(f"--plot {path}"):
-        save_figure(network_figure(data), path)
+    save_plot(network_figure(data), path)
 
 
 def _worst(document: Document) -> str:
     """Describe the link that delivered least, the latest of several; "" if all are alike."""
     from testbed.metrics.facts import percent
-    from testbed.metrics.tables import impairment, name_links
+    from testbed.metrics.printed_tables import impairment, name_links
 
     links = name_links(document["links"])
     if len({impairment(link) for link in links.values()}) < 2:
@@ -217,7 +214,7 @@ def _rows(link: str, sent: Sequence[str], messages: MessageRecord, i: int, m: in
 
 
 def _print_summary(console: PipeSafeConsole, document: Document) -> None:
-    from testbed.metrics.tables import arrival_tables, fits_width, worst_links, wrap_lines
+    from testbed.metrics.printed_tables import arrival_tables, fits_width, worst_links, wrap_lines
     from testbed.network.link_statistics import LOSSES, outcome_name
 
     together, links = document["all"], _link_count(document)
@@ -253,8 +250,7 @@ def _link_count(document: Document) -> int:
 def _count_table(
     links: Mapping[str, LinkMetrics], together: LinkMetrics, keys: Sequence[str]
 ) -> Table:
-    """Messages of each link by outcome."""
-    from testbed.metrics.tables import link_table
+    from testbed.metrics.printed_tables import link_table
 
     def cells(link: LinkMetrics) -> list[str]:
         return [f"{_count(link, key):,}" for key in keys]

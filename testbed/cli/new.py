@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.text import Text
 
-from testbed.cli.options import JsonFile, require_finite
+from testbed.cli.options import JsonFile, require_finite, value_option
 from testbed.cli.output import (
     MISSING,
     message_console,
@@ -24,8 +23,8 @@ from testbed.core.files import new_folder, report_write_errors
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from testbed.trials.new_aircraft import DerivedAircraft
-    from testbed.vehicle.airframe_import import CopiedAircraft
+    from testbed.commissioning.airframe_import import CopiedAircraft
+    from testbed.commissioning.new_aircraft import DerivedAircraft
     from testbed.vehicle.trim import TrimResult
 
 PICTURE = "envelope.png"
@@ -51,23 +50,22 @@ def new_command() -> None:
 
 def new_aircraft_command(
     file: Annotated[
-        Path,
-        typer.Argument(metavar="FILE.xml", help="The JSBSim file of the aircraft."),
+        Path, typer.Argument(metavar="FILE.xml", help="The JSBSim file of the aircraft.")
     ],
     speed: Annotated[
         float | None,
-        typer.Option(
-            metavar="M/S",
-            help="True airspeed of cruise, for which all gains are derived.  "
+        value_option(
+            "M/S",
+            "True airspeed of cruise, for which all gains are derived.  "
             "\\[default: that of a lift coefficient of 0.4, or near it]",
-            callback=_check_speed,
+            check=_check_speed,
         ),
     ] = None,
     into: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FOLDER",
-            help="Folder to make; its name is the aircraft's.  \\[default: the file's name, here]",
+        value_option(
+            "FOLDER",
+            "Folder to make; its name is the aircraft's.  \\[default: the file's name, here]",
         ),
     ] = None,
     json: JsonFile = None,
@@ -84,16 +82,16 @@ def new_aircraft_command(
 
     An aircraft that cannot be flown is refused with the reason, and nothing is written.
     """
-    from testbed.trials.aircraft_files import write_aircraft_files
-    from testbed.trials.new_aircraft import derive
-    from testbed.vehicle.airframe_import import (
+    from testbed.commissioning.aircraft_files import write_aircraft_files
+    from testbed.commissioning.airframe_import import (
         check_folder_name,
         copy_aircraft,
         declare_missing,
     )
-    from testbed.vehicle.compiled_fleet import untranslated
+    from testbed.commissioning.new_aircraft import derive
+    from testbed.commissioning.replay_commands import BASE_RATE_HZ
+    from testbed.compiled.compiled_fleet import untranslated
     from testbed.vehicle.jsbsim_adapter import SHARED_FILES, airframe
-    from testbed.vehicle.replay_commands import BASE_RATE_HZ
 
     target = Path(file.stem) if into is None else into
     check_folder_name(target.name)
@@ -116,8 +114,7 @@ def new_aircraft_command(
         _draw(folder / PICTURE, found)
     write_json_output(json, _document(target, copied, found, reasons))
     console = result_console(json)
-    console.write_line(Text.assemble(" ", (target.name, "bold"), f" · from {file}"))
-    console.write_line()
+    console.write_heading(target.name, f" · from {file}")
     for line in _changes(copied):
         console.write_line(f" {line}")
     for table in (_level_table(found), _flight_table(found)):
@@ -158,7 +155,6 @@ def _sink(trim: TrimResult) -> float:
 
 
 def _changes(copied: CopiedAircraft) -> list[str]:
-    """Return a line for each change of the files."""
     lines = [f"cut out: {each.place}: {each.element}" for each in copied.cuts]
     if copied.declared:
         lines.append(
@@ -168,13 +164,9 @@ def _changes(copied: CopiedAircraft) -> list[str]:
 
 
 def _level_table(found: DerivedAircraft) -> Table:
-    table = ruled_table()
     glides = found.envelope.glides
-    kind = "glide" if glides else "level flight"
-    table.add_column(Text(f"\n{kind}", style="bold"), no_wrap=True)
-    power = "sink\nm/s" if glides else "throttle\n"
-    for name in ("airspeed\nm/s", power, "alpha\n°", "elevator\n"):
-        table.add_column(name, justify="right", no_wrap=True)
+    kind, power = ("glide", "sink\nm/s") if glides else ("level flight", "throttle\n")
+    table = ruled_table(f"\n{kind}", "airspeed\nm/s", power, "alpha\n°", "elevator\n")
     trims = found.envelope.trims
     rows = {"slowest": trims[0], "cruise": found.envelope.cruise, "fastest": trims[-1]}
     for name, each in rows.items():
@@ -189,10 +181,8 @@ def _level_table(found: DerivedAircraft) -> Table:
 
 
 def _flight_table(found: DerivedAircraft) -> Table:
-    table = ruled_table()
-    table.add_column(Text("60 s of\nfly-by-wire A", style="bold"), no_wrap=True)
-    for name in ("to 63 %\ns", "overshoot\n%", "ripple\n°", "gains\nsoftened"):
-        table.add_column(name, justify="right", no_wrap=True)
+    titles = ("to 63 %\ns", "overshoot\n%", "ripple\n°", "gains\nsoftened")
+    table = ruled_table("60 s of\nfly-by-wire A", *titles)
     for each in found.flights:
         for axis, response in (("bank", each.roll), ("pitch", each.pitch)):
             table.add_row(
@@ -238,7 +228,7 @@ def _document(
 ) -> dict[str, Any]:
     from dataclasses import asdict
 
-    from testbed.trials.aircraft_files import check_document
+    from testbed.commissioning.aircraft_files import check_document
 
     return {
         "aircraft": folder.name,

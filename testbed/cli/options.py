@@ -90,6 +90,7 @@ def _has_keys(schema: Mapping[str, Any]) -> bool:
 
 MAX_SHOWN = 40  # characters of a value that an error repeats
 _MAX_COUNT = 1_000_000  # of flights, processes and other things that are counted
+FIGURE_FILES = (".png", ".pdf", ".svg")
 
 
 def parse_pixels(text: str) -> tuple[int, int] | None:
@@ -128,14 +129,39 @@ def require_positive(parameter: typer.CallbackParam, value: float | None) -> flo
     return value
 
 
+def value_option(
+    metavar: str, help: str, *names: str, check: Callable[..., Any] | None = None
+) -> Any:  # noqa: ANN401 - typer's own
+    """Declare an option with a value; without names it has that of the parameter."""
+    return typer.Option(*names, metavar=metavar, help=help, callback=check)
+
+
 def finite_option(metavar: str, help: str, *names: str) -> Any:  # noqa: ANN401 - typer's own
     """Declare an option for a finite number; without names it has that of the parameter."""
-    return typer.Option(*names, metavar=metavar, help=help, callback=require_finite)
+    return value_option(metavar, help, *names, check=require_finite)
 
 
 def positive_option(metavar: str, help: str, *names: str) -> Any:  # noqa: ANN401 - typer's own
     """Declare an option for a number above 0; without names it has that of the parameter."""
-    return typer.Option(*names, metavar=metavar, help=help, callback=require_positive)
+    return value_option(metavar, help, *names, check=require_positive)
+
+
+def list_option(metavar: str, help: str, low: float, high: float, allowed: str) -> Any:  # noqa: ANN401
+    """Declare an option for numbers from `low` to `high`, which are `allowed` in errors."""
+
+    def check(parameter: typer.CallbackParam, text: str | None) -> str | None:
+        for part in () if text is None else text.split(","):
+            value = parse_number(part.strip())
+            if value is None or not low <= value <= high:
+                raise InputError(f"{parameter.opts[0]} {text}: write {allowed}")
+        return text
+
+    return value_option(metavar, help, check=check)
+
+
+def split_list(text: str) -> list[float]:
+    """Return the numbers of a `list_option` in their order, each text once."""
+    return [float(part.strip()) for part in dict.fromkeys(text.split(","))]
 
 
 def read_time(option: str, text: str) -> float:
@@ -175,7 +201,12 @@ def output_option(
             )
         return path
 
-    return typer.Option(*names, metavar=metavar, help=help, callback=check)
+    return value_option(metavar, help, *names, check=check)
+
+
+def figure_option(help: str, *, metavar: str = "FILE") -> Any:  # noqa: ANN401 - typer's own
+    """Declare an option for the file of a figure."""
+    return output_option(metavar=metavar, help=help, suffixes=FIGURE_FILES)
 
 
 ScenarioName = Annotated[
@@ -212,10 +243,9 @@ Overrides = Annotated[
         autocompletion=scenario_keys,
     ),
 ]
-Seed = Annotated[int | None, typer.Option(metavar="N", help="Seed of every random stream.")]
+Seed = Annotated[int | None, value_option("N", "Seed of every random stream.")]
 Jobs = Annotated[
-    int | None,
-    positive_option("N", "Flights at the same time.  \\[default: one per processor]"),
+    int | None, positive_option("N", "Flights at the same time.  \\[default: one per processor]")
 ]
 JsonFile = Annotated[
     Path | None,
@@ -253,16 +283,13 @@ Follow = Annotated[
 ]
 Host = Annotated[
     str,
-    typer.Option(
-        metavar="ADDRESS",
-        help="Address on which a web viewer listens: 127.0.0.1, or 0.0.0.0 for other machines.",
+    value_option(
+        "ADDRESS",
+        "Address on which a web viewer listens: 127.0.0.1, or 0.0.0.0 for other machines.",
     ),
 ]
 ParamFile = Annotated[
-    str,
-    typer.Option(
-        metavar="FILE", help="Autopilot parameters: a tune of the aircraft, or a .param file."
-    ),
+    str, value_option("FILE", "Autopilot parameters: a tune of the aircraft, or a .param file.")
 ]
 
 
@@ -286,11 +313,11 @@ def _read_start_time(parameter: typer.CallbackParam, text: str | None) -> str | 
 
 StartTime = Annotated[
     str | None,
-    typer.Option(
-        metavar="TIME",
-        help="Time of the log's first sample: now, or ISO 8601 such as 2026-05-01T09:30:00Z.  "
+    value_option(
+        "TIME",
+        "Time of the log's first sample: now, or ISO 8601 such as 2026-05-01T09:30:00Z.  "
         "\\[default: 1970-01-01T00:00:00Z]",
-        callback=_read_start_time,
+        check=_read_start_time,
     ),
 ]
 

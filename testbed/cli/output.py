@@ -5,10 +5,10 @@ from __future__ import annotations
 import io
 import os
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, BinaryIO, TextIO
+from typing import TYPE_CHECKING, Any, BinaryIO, Literal, TextIO
 
 import typer
 from rich import box
@@ -26,6 +26,9 @@ from testbed.core.files import (
     reserve_standard_descriptors,
     write_file,
 )
+
+if TYPE_CHECKING:
+    from testbed.views.panels import PanelGrid
 
 MISSING = "–"  # in a cell without a number
 
@@ -90,6 +93,11 @@ class PipeSafeConsole(Console):
         """Print one line as it is, without markup and without wrapping."""
         self.print(Text(text, style) if isinstance(text, str) else text, soft_wrap=True)
 
+    def write_heading(self, name: str, rest: str) -> None:
+        """Print a name in bold with what follows it, and an empty line."""
+        self.write_line(Text.assemble(" ", (name, "bold"), rest))
+        self.write_line()
+
     def print_table(self, table: Table) -> None:
         """Print a table at its own width: a narrower terminal breaks its lines, cutting nothing."""
         unlimited = self.options.update_width(10_000)
@@ -107,9 +115,29 @@ def message_console() -> PipeSafeConsole:
     return PipeSafeConsole(stderr=True, highlight=False)
 
 
-def ruled_table() -> Table:
-    """Make a table whose only line is below its header."""
-    return Table(box=box.SIMPLE_HEAD, show_edge=False, collapse_padding=True, header_style="")
+def ruled_table(*columns: str, left: Sequence[str] = ()) -> Table:
+    """Make a table whose only line is below its header.
+
+    The first column is bold on the left; the others, but for those in `left`, are on the right.
+    """
+    table = Table(box=box.SIMPLE_HEAD, show_edge=False, collapse_padding=True, header_style="")
+    for name in columns:
+        first = name is columns[0]
+        side: Literal["left", "right"] = "left" if first or name in left else "right"
+        table.add_column(Text(name, "bold" if first else ""), justify=side, no_wrap=True)
+    return table
+
+
+def save_plot(plot: PanelGrid, path: Path) -> None:
+    """Draw a figure to the file of --plot.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    from testbed.views.matplotlib_backend import save_figure
+
+    with report_write_errors(f"--plot {path}"):
+        save_figure(plot, path)
 
 
 def is_stdout(path: Path | None) -> bool:

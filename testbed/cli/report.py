@@ -6,9 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
-from testbed.cli.options import RunName, finite_option, output_option
+from testbed.cli.options import RunName, finite_option, output_option, value_option
 from testbed.cli.output import (
     PipeSafeConsole,
     check_output_folder,
@@ -36,15 +34,12 @@ ReportFile = Annotated[
 ]
 Figures = Annotated[
     Path | None,
-    typer.Option(
-        metavar="DIR",
-        help="Also write every figure as a file to this folder.",
-        callback=check_output_folder,
+    value_option(
+        "DIR", "Also write every figure as a file to this folder.", check=check_output_folder
     ),
 ]
 FigureFormat = Annotated[
-    str | None,
-    typer.Option(metavar="png|pdf|svg", help="Format of these files.  \\[default: png]"),
+    str | None, value_option("png|pdf|svg", "Format of these files.  \\[default: png]")
 ]
 
 

@@ -11,12 +11,20 @@ import typer
 from rich.text import Text
 
 from testbed.cli.exit_codes import ExitCode
-from testbed.cli.options import AircraftName, JsonFile, finite_option, output_option, require_finite
+from testbed.cli.options import (
+    AircraftName,
+    JsonFile,
+    figure_option,
+    finite_option,
+    require_finite,
+    value_option,
+)
 from testbed.cli.output import (
     check_output_path,
     message_console,
     result_console,
     ruled_table,
+    save_plot,
     write_json_output,
 )
 from testbed.core.errors import InputError
@@ -24,10 +32,10 @@ from testbed.core.files import report_write_errors
 
 if TYPE_CHECKING:
     from testbed.cli.output import PipeSafeConsole
-    from testbed.trials.airframe_fit import AirframeFit
-    from testbed.trials.response_comparison import ResponseComparison
-    from testbed.vehicle.command_files import Commands
-    from testbed.vehicle.replay_commands import ReplaySetup
+    from testbed.commissioning.airframe_fit import AirframeFit
+    from testbed.commissioning.command_files import Commands
+    from testbed.commissioning.replay_commands import ReplaySetup
+    from testbed.commissioning.response_comparison import ResponseComparison
 
 RECORDED, AUTOPILOT = "recorded", "autopilot"  # tunes
 LOOSE_SHARE = 0.5  # half width of an interval, of its value, beyond which nothing was found out
@@ -75,9 +83,9 @@ def respond_command(
     ] = None,
     param: Annotated[
         str | None,
-        typer.Option(
-            metavar="FILE",
-            help="Autopilot parameters: a tune of the aircraft, or a .param file.  \\[default: "
+        value_option(
+            "FILE",
+            "Autopilot parameters: a tune of the aircraft, or a .param file.  \\[default: "
             "recorded, or autopilot where the aircraft has no recorded.param]",
         ),
     ] = None,
@@ -97,12 +105,7 @@ def respond_command(
         float, finite_option("M", "Elevation of the origin above sea level.")
     ] = 300.0,
     latency: Annotated[
-        float,
-        typer.Option(
-            metavar="S",
-            callback=_check_latency,
-            help="Delay of the commands, s.",
-        ),
+        float, value_option("S", "Delay of the commands, s.", check=_check_latency)
     ] = 0.02,
     sitl_rate: Annotated[
         float | None,
@@ -116,33 +119,27 @@ def respond_command(
     ] = None,
     skip: Annotated[
         float,
-        typer.Option(
-            metavar="S",
-            callback=_check_not_negative,
-            help="Time at the start that is neither compared nor fitted, s.",
+        value_option(
+            "S",
+            "Time at the start that is neither compared nor fitted, s.",
+            check=_check_not_negative,
         ),
     ] = 2.0,
     plot: Annotated[
-        Path | None,
-        output_option(
-            help="Draw recording and model over time: .png, .pdf or .svg.",
-            suffixes=(".png", ".pdf", ".svg"),
-        ),
+        Path | None, figure_option("Draw recording and model over time: .png, .pdf or .svg.")
     ] = None,
     fit: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAMES",
-            help="Fit these to the recording, with 95 % intervals: mass, drag, aileron, elevator, "
+        value_option(
+            "NAMES",
+            "Fit these to the recording, with 95 % intervals: mass, drag, aileron, elevator, "
             "latency, with commas between them; or all.",
         ),
     ] = None,
     write: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FOLDER",
-            help="Write the fitted aircraft to this new folder.",
-            callback=_check_new_folder,
+        value_option(
+            "FOLDER", "Write the fitted aircraft to this new folder.", check=_check_new_folder
         ),
     ] = None,
     json: JsonFile = None,
@@ -153,10 +150,15 @@ def respond_command(
     point to is printed. With --fit the model is fitted to the recording.
     """
     from testbed.autopilot.parameters import AutopilotTiming, read_params
+    from testbed.commissioning.command_files import read_commands, write_response
+    from testbed.commissioning.replay_commands import (
+        AircraftLost,
+        ReplaySetup,
+        check_flown,
+        replay_one,
+    )
+    from testbed.commissioning.response_comparison import compare_response
     from testbed.scenario import find_aircraft
-    from testbed.trials.response_comparison import compare_response
-    from testbed.vehicle.command_files import read_commands, write_response
-    from testbed.vehicle.replay_commands import AircraftLost, ReplaySetup, check_flown, replay_one
 
     names = _fit_names(fit)
     if write is not None and not names:
@@ -211,7 +213,7 @@ def _fit_names(text: str | None) -> tuple[str, ...]:
     Raises:
         InputError: a name is unknown or there twice.
     """
-    from testbed.trials.airframe_fit import PARAMETERS
+    from testbed.commissioning.airframe_fit import PARAMETERS
 
     if text is None:
         return ()
@@ -260,10 +262,8 @@ def _print_comparison(
     time = comparison.time_s
     console.write_line(f" model minus recording, {time[0]:g} to {time[-1]:g} s")
     console.write_line()
-    table = ruled_table()
-    table.add_column(Text("\nquantity", style="bold"), no_wrap=True)
-    for name in ("\nunit", "\nrms", "\nmean", "\nlargest", "at\ns"):
-        table.add_column(name, justify="left" if "unit" in name else "right", no_wrap=True)
+    titles = ("\nquantity", "\nunit", "\nrms", "\nmean", "\nlargest", "at\ns")
+    table = ruled_table(*titles, left=titles[1:2])
     for each in comparison.quantities.values():
         row = each.largest_row
         table.add_row(
@@ -299,7 +299,6 @@ def _comparison_document(comparison: ResponseComparison) -> dict[str, Any]:
 
 
 def _plot(file: Path, title: str, comparison: ResponseComparison) -> None:
-    from testbed.views.matplotlib_backend import save_figure
     from testbed.views.response_figure import (
         RecordedAndModelled,
         ResponseFigureData,
@@ -313,15 +312,14 @@ def _plot(file: Path, title: str, comparison: ResponseComparison) -> None:
         for each in comparison.quantities.values()
     ]
     picture = ResponseFigureData(title, "recording and model", comparison.time_s, drawn)
-    with report_write_errors(f"--plot {file}"):
-        save_figure(response_figure(picture), file)
+    save_plot(response_figure(picture), file)
 
 
 def _fit(
     folder: Path, recording: Commands, setup: ReplaySetup, names: Sequence[str], skip: float
 ) -> AirframeFit:
     from testbed.cli.progress import progress_counter
-    from testbed.trials.airframe_fit import MOST_STEPS, fit_airframe
+    from testbed.commissioning.airframe_fit import MOST_STEPS, fit_airframe
 
     with progress_counter("fitting", total=MOST_STEPS, unit="steps at most") as update:
         return fit_airframe(
@@ -338,11 +336,8 @@ def _print_fit(console: PipeSafeConsole, folder: Path, found: AirframeFit) -> No
     from testbed.vehicle.jsbsim_adapter import airframe
 
     console.write_line()
-    table = ruled_table()
-    table.add_column(Text("\nfitted", style="bold"), no_wrap=True)
-    for name in ("value\n", "95 % interval\n", "±\n%"):
-        table.add_column(name, justify="right", no_wrap=True)
-    table.add_column("\n", no_wrap=True)
+    titles = ("\nfitted", "value\n", "95 % interval\n", "±\n%", "\n")
+    table = ruled_table(*titles, left=titles[-1:])
     for each in found.parameters:
         share = each.half_width / abs(each.value) if each.value else float("inf")
         meaning = "s" if each.name == "latency" else "× the aircraft's"
@@ -406,7 +401,7 @@ def _fit_document(found: AirframeFit) -> dict[str, Any]:
 def _write(
     console: PipeSafeConsole, folder: Path, found: AirframeFit, path: Path, recording: str
 ) -> None:
-    from testbed.trials.fitted_aircraft import companion_latency, write_fitted_aircraft
+    from testbed.commissioning.fitted_aircraft import companion_latency, write_fitted_aircraft
 
     with report_write_errors(f"--write {path}"):
         write_fitted_aircraft(folder, found, path, recording)

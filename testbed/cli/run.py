@@ -27,6 +27,7 @@ from testbed.cli.options import (
     output_option,
     positive_option,
     read_time,
+    value_option,
 )
 from testbed.cli.output import format_size, message_console, result_console, write_json_output
 from testbed.cli.view import (
@@ -43,7 +44,7 @@ if TYPE_CHECKING:
 
     from testbed.core.records import Observer
     from testbed.runs.external_options import ExternalOptions
-    from testbed.runs.progress import Progress
+    from testbed.runs.flight_progress import Progress
     from testbed.scenario import Scenario
 
 _EXTERNAL = "External programs"
@@ -66,15 +67,11 @@ def run_command(
     seed: Seed = None,
     duration: Annotated[
         str | None,
-        typer.Option(
-            metavar="TIME", help="Simulated time, instead of the scenario's: 120, 90s or 2m."
-        ),
+        value_option("TIME", "Simulated time, instead of the scenario's: 120, 90s or 2m."),
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(
-            metavar="DIR", help="Run directory to create.  \\[default: logs/SCENARIO/UTC-ID]"
-        ),
+        value_option("DIR", "Run directory to create.  \\[default: logs/SCENARIO/UTC-ID]"),
     ] = None,
     json: JsonFile = None,
     view: Annotated[
@@ -153,9 +150,9 @@ def run_command(
     the bounds of the scenario's `expect` gives exit code 3.
     """
     from testbed.metrics.expectations import violations
-    from testbed.metrics.tables import render_table
+    from testbed.metrics.printed_tables import render_table
     from testbed.runs.bounds import unchecked_bounds, violation_lines
-    from testbed.runs.progress import make_display
+    from testbed.runs.flight_progress import make_display
     from testbed.runs.run import run
     from testbed.scenario import set_duration
     from testbed.scenario.arguments import check_argument

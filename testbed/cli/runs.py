@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.table import Table
 
-from testbed.cli.options import MAX_SHOWN, positive_option
+from testbed.cli.options import MAX_SHOWN, positive_option, value_option
 from testbed.cli.output import MISSING, PipeSafeConsole, result_console
 from testbed.core.errors import InputError
 from testbed.core.files import format_bytes
@@ -23,8 +23,7 @@ _BYTES = {"kB": 1e3, "MB": 1e6, "GB": 1e9}
 _LARGEST = 100_000  # in the largest unit: 1,900 years, 100 TB
 
 RunsFolder = Annotated[
-    Path,
-    typer.Argument(metavar="[FOLDER]", help="Folder of the runs.", show_default="logs"),
+    Path, typer.Argument(metavar="[FOLDER]", help="Folder of the runs.", show_default="logs")
 ]
 
 
@@ -52,18 +51,18 @@ def prune_command(
     folder: RunsFolder = Path("logs"),
     older: Annotated[
         str | None,
-        typer.Option(
-            metavar="TIME",
-            help="Runs that began longer ago than this: 12h, 30d or 4w.",
-            callback=_quantity(TIME_UNITS, "a time with its unit, such as 12h, 30d or 4w"),
+        value_option(
+            "TIME",
+            "Runs that began longer ago than this: 12h, 30d or 4w.",
+            check=_quantity(TIME_UNITS, "a time with its unit, such as 12h, 30d or 4w"),
         ),
     ] = None,
     size: Annotated[
         str | None,
-        typer.Option(
-            metavar="SIZE",
-            help="The oldest runs, until the rest is no larger than this: 500MB or 5GB.",
-            callback=_quantity(_BYTES, "a size in kB, MB or GB, such as 500MB or 5GB"),
+        value_option(
+            "SIZE",
+            "The oldest runs, until the rest is no larger than this: 500MB or 5GB.",
+            check=_quantity(_BYTES, "a size in kB, MB or GB, such as 500MB or 5GB"),
         ),
     ] = None,
     keep: Annotated[

@@ -182,7 +182,6 @@ def _list_names(console: PipeSafeConsole, everything: bool) -> None:
 
 
 def _left_out() -> str:
-    """Describe what a short list leaves out."""
     from testbed.scenario import list_scenarios, list_studies
 
     scenarios, studies = set(list_scenarios()) - {*FIRST}, set(list_studies()) - {*FIRST_STUDIES}
@@ -304,7 +303,7 @@ def _tuning_files() -> tuple[str, Table]:
 
 
 def _tuning_question(name: str) -> str:
-    from testbed.studies.tune_schema import load_tune  # takes longer than the rest of a short list
+    from testbed.tuning.tune_schema import load_tune  # takes longer than the rest of a short list
 
     return load_tune(name).config.study.question
 
@@ -337,7 +336,7 @@ def _describe(name: str) -> None:
         load_scenario,
     )
     from testbed.studies.plan import load_study
-    from testbed.studies.tune_schema import load_tune
+    from testbed.tuning.tune_schema import load_tune
 
     console = result_console()
     if name in list_studies():

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from testbed.cli.options import JsonFile, finite_option, output_option
+from testbed.cli.options import JsonFile, finite_option, output_option, value_option
 from testbed.cli.output import (
     check_output_folder,
     describe_file,
@@ -51,15 +51,13 @@ def study_report_command(
     out: ReportFile = None,
     metric: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="NAME",
-            help="Report this number of metrics.json, e.g. windows.circles.mean_rms_m; may be "
+        value_option(
+            "NAME",
+            "Report this number of metrics.json, e.g. windows.circles.mean_rms_m; may be "
             "repeated.  \\[default: the metrics that the study names]",
         ),
     ] = None,
-    statistic: Annotated[
-        str, typer.Option(metavar="median|mean", help="Statistic over the seeds.")
-    ] = "median",
+    statistic: Annotated[str, value_option("median|mean", "Statistic over the seeds.")] = "median",
     figures: Figures = None,
     format: FigureFormat = None,
     width: Annotated[
@@ -83,10 +81,8 @@ def study_report_command(
     ] = None,
     tables: Annotated[
         Path | None,
-        typer.Option(
-            metavar="DIR",
-            help="Also write every table as CSV to this folder.",
-            callback=check_output_folder,
+        value_option(
+            "DIR", "Also write every table as CSV to this folder.", check=check_output_folder
         ),
     ] = None,
     json: JsonFile = None,
@@ -235,8 +231,8 @@ def _scenario_names(config: StudyConfig | None) -> str:
 def _flights(table: StudyTable) -> StudyFlights:
     import numpy as np
 
+    from testbed.pool.flight_task import COMPLETED
     from testbed.reports.study import StudyFlights
-    from testbed.studies.flight_task import COMPLETED
     from testbed.studies.journal import METRICS, SET
 
     columns = table.columns

@@ -15,7 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from testbed.cli.exit_codes import ExitCode
-from testbed.cli.options import Jobs, JsonFile, Quiet, study_names
+from testbed.cli.options import Jobs, JsonFile, Quiet, study_names, value_option
 from testbed.cli.output import (
     MISSING,
     PipeSafeConsole,
@@ -26,7 +26,7 @@ from testbed.cli.output import (
 
 if TYPE_CHECKING:
     from testbed.studies.precision import PointPrecision
-    from testbed.studies.summary import RunGroup, Summary
+    from testbed.studies.study_summary import RunGroup, Summary
     from testbed.studies.sweep import SweepResult
 
 
@@ -48,9 +48,9 @@ def sweep_command(
     ],
     out: Annotated[
         Path | None,
-        typer.Option(
-            metavar="DIR|FILE",
-            help="Directory for the study's file, or the file, ending in .parquet.  \\[default: "
+        value_option(
+            "DIR|FILE",
+            "Directory for the study's file, or the file, ending in .parquet.  \\[default: "
             "logs/studies/STUDY/UTC-ID]",
         ),
     ] = None,
@@ -63,14 +63,10 @@ def sweep_command(
         ),
     ] = False,
     backend: Annotated[
-        Backend,
-        typer.Option(metavar="joblib|dask", help="Processes on this machine, or a Dask cluster."),
+        Backend, value_option("joblib|dask", "Processes on this machine, or a Dask cluster.")
     ] = Backend.JOBLIB,
     scheduler: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ADDRESS", help="With --backend dask: the scheduler, tcp://HOST:8786."
-        ),
+        str | None, value_option("ADDRESS", "With --backend dask: the scheduler, tcp://HOST:8786.")
     ] = None,
     json: JsonFile = None,
     quiet: Quiet = False,
@@ -81,7 +77,7 @@ def sweep_command(
     exit code is 1. With a number outside the bounds of a scenario's `expect` it is 3.
     """
     from testbed.cli.progress import progress_counter
-    from testbed.studies.summary import summarise, to_document
+    from testbed.studies.study_summary import summarise, to_document
     from testbed.studies.sweep import sweep
 
     messages = message_console()
@@ -167,7 +163,7 @@ def _notes(result: SweepResult, summary: Summary) -> Iterator[str]:
 
 def _print_precisions(result: SweepResult, summary: Summary, console: PipeSafeConsole) -> None:
     """Print how many flights each point needed, and which are not known as well as asked."""
-    from testbed.studies.summary import MAX_GROUPS
+    from testbed.studies.study_summary import MAX_GROUPS
 
     found, until = summary.precisions, result.study.config.study.until
     assert until is not None
@@ -224,15 +220,15 @@ def _bad(result: SweepResult) -> int:
 
 
 def _completed(result: SweepResult) -> int:
-    from testbed.studies.flight_task import COMPLETED
+    from testbed.pool.flight_task import COMPLETED
 
     return result.outcomes.get(COMPLETED, 0)
 
 
 def _headline(result: SweepResult, width: int) -> list[Text]:
     """Name, number of runs and their outcomes, broken between these where a line is full."""
-    from testbed.metrics.tables import join_parts
-    from testbed.studies.flight_task import COMPLETED
+    from testbed.metrics.printed_tables import join_parts
+    from testbed.pool.flight_task import COMPLETED
 
     runs = sum(result.outcomes.values())
     new = f", {result.new_runs:,} of them in this session" if result.new_runs < runs else ""

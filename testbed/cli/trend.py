@@ -13,8 +13,8 @@ from testbed.cli.output import MISSING, PipeSafeConsole, result_console, write_j
 from testbed.cli.report import check_figures, write_figures
 
 if TYPE_CHECKING:
+    from testbed.golden.golden_trend import Trend
     from testbed.reports.figure_spec import Figure
-    from testbed.studies.golden_trend import Trend
 
 COLUMNS = 3  # of the newest commits
 STYLES = {"better": "green", "worse": "red", "": ""}
@@ -40,10 +40,10 @@ def show_trend(
     Raises:
         InputError: a file cannot be read or written.
     """
-    from testbed.reports.trend import TrendCurve, trend_figures
+    from testbed.golden.golden_table import RULES
+    from testbed.golden.golden_trend import read_trend, to_document
+    from testbed.reports.trend_figures import TrendCurve, trend_figures
     from testbed.scenario.expect import WINDOW_QUANTITIES
-    from testbed.studies.golden_table import RULES
-    from testbed.studies.golden_trend import read_trend, to_document
 
     trend = read_trend(folder, scenarios)
     drawn: list[Figure] = []
@@ -67,8 +67,8 @@ def show_trend(
 
 def _print_scenario(trend: Trend, name: str, console: PipeSafeConsole) -> None:
     """Print the oldest and the newest numbers of a scenario, and the change between them."""
-    from testbed.studies.golden_report import format_number
-    from testbed.studies.golden_table import row_label
+    from testbed.golden.golden_report import format_number
+    from testbed.golden.golden_table import row_label
 
     newest = range(max(len(trend.labels) - COLUMNS, 1), len(trend.labels))
     table = Table(box=None, pad_edge=False, header_style="bold")

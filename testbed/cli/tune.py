@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.table import Table
 
-from testbed.cli.options import Jobs, JsonFile, tune_names
+from testbed.cli.options import Jobs, JsonFile, tune_names, value_option
 from testbed.cli.output import PipeSafeConsole, message_console, result_console, write_json_output
 
 if TYPE_CHECKING:
-    from testbed.studies.tune import TuneProblem, TuneResult
+    from testbed.tuning.tune import TuneProblem, TuneResult
 
 AT_BOUND = 0.02  # of the range between the bounds
 
@@ -29,10 +29,7 @@ def tune_command(
         ),
     ],
     out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR", help="Folder to create.  \\[default: logs/studies/TUNE/UTC-ID]"
-        ),
+        Path | None, value_option("DIR", "Folder to create.  \\[default: logs/studies/TUNE/UTC-ID]")
     ] = None,
     jobs: Jobs = None,
     json: JsonFile = None,
@@ -45,8 +42,8 @@ def tune_command(
     from testbed.cli.progress import progress_counter
     from testbed.logs.run_directory import create_run_directory
     from testbed.studies.table import STUDIES
-    from testbed.studies.tune import GAINS_FILE, SCENARIO, TuneProblem, to_document, tune_gains
-    from testbed.studies.tune_schema import load_tune
+    from testbed.tuning.tune import GAINS_FILE, SCENARIO, TuneProblem, to_document, tune_gains
+    from testbed.tuning.tune_schema import load_tune
 
     problem = TuneProblem(load_tune(tune))
     messages = message_console()
@@ -83,8 +80,8 @@ def _announcement(problem: TuneProblem) -> str:
 def _print_result(
     result: TuneResult, problem: TuneProblem, found: Mapping[str, Any], console: PipeSafeConsole
 ) -> None:
-    from testbed.studies.tune import GAINS_FILE, RESULT, SCENARIO
-    from testbed.studies.tune_schema import GAINS
+    from testbed.tuning.tune import GAINS_FILE, RESULT, SCENARIO
+    from testbed.tuning.tune_schema import GAINS
 
     table = Table(box=None, pad_edge=False, header_style="bold")
     table.add_column("gain", no_wrap=True)

@@ -50,13 +50,11 @@ def validate_command(
 
 
 def _engines(world: World) -> Iterator[str]:
-    """Describe what steps the flight models."""
     if world.fleet is not None:
         yield f"engine: {world.fleet.describe_engine()}"
 
 
 def _print_stages(world: World) -> None:
-    """Print the stages of a flight as a table."""
     from testbed.runs.run import list_stages
 
     rows = [("part", "when", "stage", "runs"), *list_stages(world)]
@@ -68,7 +66,7 @@ def _print_stages(world: World) -> None:
 
 def _programs(scenario: Scenario) -> Iterator[str]:
     """Describe the programs that a run starts; laws are among the events."""
-    from testbed.autopilot.sitl_process import VARIABLE
+    from testbed.ardupilot.sitl_process import VARIABLE
     from testbed.scenario.aircraft import ArduPlane
 
     for aircraft in scenario.aircraft:

@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from testbed.cli.options import (
     Follow,
     RunName,
@@ -15,6 +13,7 @@ from testbed.cli.options import (
     output_option,
     parse_pixels,
     positive_option,
+    value_option,
 )
 from testbed.cli.output import describe_file, is_stdout, message_console
 from testbed.cli.progress import progress_counter
@@ -28,6 +27,7 @@ if TYPE_CHECKING:
 
     from testbed.core.records import Array
     from testbed.views.pillow_backend import Drawing
+    from testbed.views.video import FlightVideo
 
 SUFFIXES = (".mp4", ".gif", ".png", ".apng")
 RATES = (50, 25, 20, 10, 5)  # frames per second whose duration every format can hold
@@ -64,18 +64,15 @@ def video_command(
     ] = None,
     follow: Follow = None,
     size: Annotated[
-        str, typer.Option(metavar="WIDTHxHEIGHT", help="Size of the pictures, pixels.")
+        str, value_option("WIDTHxHEIGHT", "Size of the pictures, pixels.")
     ] = "1280x720",
-    fps: Annotated[
-        int, typer.Option(metavar="N", help="Pictures per second: 50, 25, 20, 10 or 5.")
-    ] = 25,
+    fps: Annotated[int, value_option("N", "Pictures per second: 50, 25, 20, 10 or 5.")] = 25,
 ) -> None:
     """Make a video of a run; needs no screen and no graphics card.
 
     The cameras are those of the viewer: all flying aircraft are in sight, or one is followed.
     """
     from testbed.logs.file_record import record_output
-    from testbed.views.pillow_backend import save_video
     from testbed.views.recorded_runs import scene_and_batch
     from testbed.views.video import FlightVideo
 
@@ -91,21 +88,24 @@ def video_command(
     scene, batch = scene_and_batch(log, follow=follow)
     frames = choose_frames(batch.time, begin, end, speed, fps)
     video = FlightVideo(scene, batch, frames, pixels)
-    total = len(frames)
-    with (
-        report_write_errors(f"--out {out}"),
-        write_file(out) as file,
-        progress_counter("drawing", total=total, unit="pictures") as progress,
-    ):
+    with report_write_errors(f"--out {out}"):
+        draw_video(video, out, len(frames), fps, "drawing")
+    record_output(out, default=False)
+    length = f"{len(frames) / fps:.1f} s of {scene.scenario}"
+    message_console().write_line(describe_file(out, length))
+
+
+def draw_video(video: FlightVideo, path: Path, total: int, fps: int, what: str) -> None:
+    """Draw all pictures of a video to a file, with `what` as the name of the progress."""
+    from testbed.views.pillow_backend import save_video
+
+    with write_file(path) as file, progress_counter(what, total=total, unit="pictures") as progress:
 
         def render(number: int) -> Drawing:
             progress(number, total)
             return video.frame(number)
 
-        save_video(file, out.suffix.lower(), render, total, 1000 // fps, video.colours)
-    record_output(out, default=False)
-    length = f"{total / fps:.1f} s of {scene.scenario}"
-    message_console().write_line(describe_file(out, length))
+        save_video(file, path.suffix.lower(), render, total, 1000 // fps, video.colours)
 
 
 def choose_frames(

@@ -22,6 +22,7 @@ from testbed.cli.options import (
     output_option,
     parse_pixels,
     run_names,
+    value_option,
 )
 from testbed.cli.output import describe_file, is_stdout, message_console
 from testbed.core.errors import InputError, MissingExtraError
@@ -54,8 +55,7 @@ def view_command(
     other: OtherRun = None,
     *,
     at: Annotated[
-        float | None,
-        typer.Option(metavar="SECONDS", help="Stop the viewer's cursor at this time of the run."),
+        float | None, value_option("SECONDS", "Stop the viewer's cursor at this time of the run.")
     ] = None,
     rrd: RrdFile = None,
     follow: Follow = None,
@@ -95,18 +95,17 @@ def shot_command(
         Path, output_option(metavar="FILE.png", help="The picture.", suffixes=(".png",))
     ],
     at: Annotated[
-        float | None,
-        typer.Option(metavar="SECONDS", help="Time of the run.  \\[default: its end]"),
+        float | None, value_option("SECONDS", "Time of the run.  \\[default: its end]")
     ] = None,
     size: Annotated[
-        str, typer.Option(metavar="WIDTHxHEIGHT", help="Size of the picture, pixels.")
+        str, value_option("WIDTHxHEIGHT", "Size of the picture, pixels.")
     ] = "1920x1080",
     follow: Follow = None,
     renderer: Annotated[
         Renderer | None,
-        typer.Option(
-            metavar="rerun|software",
-            help="What draws it: the Rerun viewer, with plots and events, or the program itself, "
+        value_option(
+            "rerun|software",
+            "What draws it: the Rerun viewer, with plots and events, or the program itself, "
             "as in videos.  \\[default: rerun, or software where that cannot draw]",
         ),
     ] = None,

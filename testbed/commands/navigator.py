@@ -41,7 +41,6 @@ class Navigator:
     """
 
     def __init__(self, config: NavigatorConfig, loiter_radius: float) -> None:
-        """Start without a mission."""
         self._config = config
         self.flight_params, self.loiter_radius = config.flight_params, loiter_radius
         self.position, self._climb_rate = config.start, 0.0

@@ -44,7 +44,6 @@ class TickGate:
         stop: Callable[[], bool],
         announce: Callable[[str], None] = lambda text: None,
     ) -> None:
-        """Start before the first tick."""
         self._control, self._server, self._pacer, self._stop = control, server, pacer, stop
         self._announce = announce
         self.each_tick = not (control is None and server is None and pacer is None)

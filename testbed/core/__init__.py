@@ -1,1 +1,1 @@
-"""Records, frames, random streams and other modules that all packages share."""
+"""Records, frames, random streams, compiling, files and errors, shared by all packages."""

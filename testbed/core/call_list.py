@@ -41,7 +41,6 @@ class Call:
     ADDRESSES = "words", "_alone"
 
     def __init__(self, function: Callable[..., Any], *args: Any) -> None:  # noqa: ANN401
-        """See the class."""
         self._function, self._takes_time = function, bool(args) and args[-1] is NOW
         self._args = args[:-1] if self._takes_time else args
         if not is_interpreted():
@@ -163,7 +162,6 @@ class CalledByAddress:
     CONSTANT = True  # for a flight
 
     def __init__(self, function: Any, takes_time: bool) -> None:  # noqa: ANN401 - numba's
-        """Start without machine code."""
         self.__module__, self.__qualname__ = function.__module__, function.__qualname__
         self.function, self._takes_time = function, takes_time
         self._addresses: dict[tuple[Any, ...], tuple[int, int]] = {}

@@ -63,8 +63,8 @@ _progress: ContextVar[Progress | None] = ContextVar("progress", default=None)
 
 # Packages with kernels: a change in any of their files recompiles all kernels.
 KERNEL_PACKAGES = (
-    *("core", "atmosphere", "autopilot", "flight", "formation", "guidance"),
-    *("network", "sensors", "trials", "vehicle"),
+    *("core", "atmosphere", "ardupilot", "autopilot", "commissioning", "compiled", "flight"),
+    *("formation", "guidance", "network", "sensors", "vehicle"),
 )
 _FOLDER_NAME = re.compile("kernels-[0-9a-f]{16}")
 _FILE_NAME = re.compile(

@@ -25,7 +25,6 @@ class Exclusive:
     __slots__ = "_call", "_lock", "_owner", "what"
 
     def __init__(self, what: str) -> None:
-        """Start free."""
         self.what = what
         self._lock = threading.Lock()
         self._owner: tuple[int, int] | None = None  # process and thread of the call that has it

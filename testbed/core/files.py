@@ -380,5 +380,4 @@ def _locked_abandoned(folder: Path) -> Iterator[bool]:
 
 
 def _remove(folder: Path) -> None:
-    """Remove a folder with its content."""
     shutil.rmtree(folder, ignore_errors=True)

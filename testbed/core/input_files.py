@@ -37,7 +37,6 @@ class ReadError(InputError):
     """A file that cannot be read. `reason` is the text without the path."""
 
     def __init__(self, path: Path, reason: str) -> None:
-        """Store the reason."""
         self.reason = reason
         super().__init__(f"{path}: {reason}")
 

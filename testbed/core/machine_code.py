@@ -81,7 +81,6 @@ class KeptCode(_Cache):
         """Do nothing: files of other code have other names."""
 
     def _file_name(self, signature: Any, codegen: Any) -> str:  # noqa: ANN401 - numba's
-        """Return the file name of a signature on this processor."""
         function, code = self._function, self._function.__code__
         name = f"{function.__module__}.{function.__qualname__}"
         of: tuple[Any, ...] = (_VERSIONS, name, repr(signature), codegen.magic_tuple())

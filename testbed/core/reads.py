@@ -26,7 +26,6 @@ class Deferred:
     __slots__ = ("_found",)
 
     def __init__(self) -> None:
-        """Begin with nothing."""
         self._found: _FOUND | None = None
 
     def use(self) -> None:
@@ -55,7 +54,6 @@ class Reads:
     """
 
     def __init__(self, ignored: Sequence[str] = ()) -> None:
-        """See the class."""
         self.found: _FOUND = {}
         self._ignored = (__name__, *ignored)
         self._sinks: list[_FOUND | None] = [self.found]

@@ -65,7 +65,6 @@ class Logged:
     """
 
     def __init__(self, *names: str, per_aircraft: bool = False) -> None:
-        """See the class."""
         self.names, self.per_aircraft = names, per_aircraft
 
 

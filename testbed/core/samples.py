@@ -62,7 +62,6 @@ class SampleBuffer:
     """
 
     def __init__(self, aircraft: int) -> None:
-        """See the class."""
         capacity = block_samples(aircraft)
         self.earlier: SampleRows | None = None
         self._ticks = np.zeros(capacity, np.int64)
@@ -209,7 +208,6 @@ class BlockObserver(ABC):
         return self._buffer.earlier
 
     def _take(self) -> SampleRows:
-        """Take the samples that were not taken."""
         new = self._new
         self._taken += len(new.ticks)
         return new

@@ -56,7 +56,6 @@ class SavedState(NotCopied):
     CONSTANT = True  # for another state, of a flight that holds this one
 
     def __init__(self, **roots: object) -> None:
-        """See the class."""
         seen, arrays = dict[int, object](), dict[int, NDArray[Any]]()
         unused, self._objects = set[int](), list[Back]()
         waiting = [(each, name) for name, each in reversed(roots.items())]
@@ -108,7 +107,6 @@ class Replayed(Iterator[T]):
     UNSAVED = ("_source", "_at")
 
     def __init__(self, make: Callable[[], Iterator[T]]) -> None:
-        """See the class."""
         self._make, self._taken = make, 0
         self._source, self._at = make(), 0
 

@@ -30,7 +30,6 @@ class Rough(Portable):
     """A function that a table does not describe, near `x`."""
 
     def __init__(self, x: float) -> None:
-        """See the class."""
         super().__init__(f"{x:g}")
         self.x = x
 

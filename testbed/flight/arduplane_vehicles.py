@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from testbed.autopilot.json_physics import MOTION_NUMBERS, pack_motion
-from testbed.autopilot.sitl_process import stop_processes
+from testbed.ardupilot.json_physics import MOTION_NUMBERS, pack_motion
+from testbed.ardupilot.sitl_process import stop_processes
 from testbed.core.compile import bind_entry
 from testbed.core.records import (
     BoolArray,
@@ -24,7 +24,7 @@ from testbed.flight.vehicles import JsbsimVehicles, Steps
 from testbed.vehicle.fleet import FlightModels, Move
 
 if TYPE_CHECKING:
-    from testbed.autopilot.ardupilot_sitl import SitlVehicle
+    from testbed.ardupilot.ardupilot_sitl import SitlVehicle
 
 
 class ArduPlaneVehicles(JsbsimVehicles):
@@ -113,7 +113,7 @@ class ArduPlaneVehicles(JsbsimVehicles):
     def _describe_ports(self) -> Iterator[str]:
         """Describe the ports of all ArduPlanes, with one warning for those on every address."""
         # imported here, as few scenarios need them
-        from testbed.autopilot.ardupilot_sitl import HOST, open_ports, ports
+        from testbed.ardupilot.ardupilot_sitl import HOST, open_ports, ports
 
         for plane in self._all:
             physics, mavlink = ports(plane.instance)

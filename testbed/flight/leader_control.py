@@ -97,7 +97,6 @@ class ScriptedController:
     """Controller of a scripted leader: its command is its own motion."""
 
     def __init__(self) -> None:
-        """See the class."""
         self.input: LeaderInput = np.zeros(1), np.zeros(3)
 
     def steps(self, aircraft: Records) -> Steps:

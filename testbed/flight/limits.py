@@ -13,7 +13,6 @@ from testbed.core.records import (
     Array,
     BoolArray,
     Event,
-    Indices,
     Records,
 )
 from testbed.flight.faults import SIMULTANEOUS_S, FaultManager
@@ -117,8 +116,16 @@ class ProximityMonitor:
         events = (
             *self._collision_events(now, distance, collided),
             *self._minimum_events(now, distance, below & ~self._below, faulty),
-            *self._encounter_events(now, distance, close & ~self._close),
-            *self._separation_events(now, separated & ~np.isnan(distance)),
+            *self._events(
+                *(now, "warning", close & ~self._close, distance),
+                f"within {self._separation:g} m of {{other}}: {{m:.1f}} m",
+                f"{{pairs}} pairs within {self._separation:g} m of each other",
+            ),
+            *self._events(
+                *(now, "info", separated & ~np.isnan(distance), self._closest),
+                "separated from {other} again, closest {m:.1f} m",
+                "{pairs} pairs separated again",
+            ),
         )
         self._closest = np.where(close | below, np.fmin(distance, self._closest), np.inf)
         self._close, self._below = close, below
@@ -154,44 +161,26 @@ class ProximityMonitor:
         if (pairs & ~explained).any():
             self.outcome = "separation_lost"
         for level, some in (("error", pairs & ~explained), ("warning", pairs & explained)):
-            found = np.flatnonzero(some)
-            if len(found) > MAX_EVENTS:
-                closest = self._closest_pair(found, distance)
-                text = f"{SEPARATION_LOST}: {len(found)} pairs, {closest}"
-                yield Event(now, level, "run", text)
-                continue
-            for pair in found:
-                first, second = self._pair_names(pair)
-                limit = f"limit {self._minimum[pair]:.3g} m, {self._source}"
-                text = f"{SEPARATION_LOST}: {distance[pair]:.1f} m from {second} ({limit})"
-                yield Event(now, level, first, text)
+            one = SEPARATION_LOST + ": {m:.1f} m from {other} (limit {limit:.3g} m, {source})"
+            yield from self._events(
+                now, level, some, distance, one, SEPARATION_LOST + ": {pairs} pairs"
+            )
 
-    def _encounter_events(self, now: float, distance: Array, pairs: BoolArray) -> Iterator[Event]:
-        found, limit = np.flatnonzero(pairs), f"within {self._separation:g} m of"
+    def _events(
+        self, now: float, level: str, which: BoolArray, distance: Array, one: str, many: str
+    ) -> Iterator[Event]:
+        """Report each of some pairs, or all together if there are more than MAX_EVENTS."""
+        found = np.flatnonzero(which)
         if len(found) > MAX_EVENTS:
-            closest = self._closest_pair(found, distance)
-            yield Event(now, "warning", "run", f"{len(found)} pairs {limit} each other, {closest}")
+            pair = found[distance[found].argmin()]
+            closest = "closest {} and {}".format(*self._pair_names(pair))
+            text = f"{many.format(pairs=len(found))}, {closest} at {distance[pair]:.1f} m"
+            yield Event(now, level, "run", text)
             return
         for pair in found:
-            first, second = self._pair_names(pair)
-            yield Event(now, "warning", first, f"{limit} {second}: {distance[pair]:.1f} m")
-
-    def _separation_events(self, now: float, pairs: BoolArray) -> Iterator[Event]:
-        found = np.flatnonzero(pairs)
-        if len(found) > MAX_EVENTS:
-            closest = self._closest_pair(found, self._closest)
-            yield Event(now, "info", "run", f"{len(found)} pairs separated again, {closest}")
-            return
-        for pair in found:
-            first, second = self._pair_names(pair)
-            text = f"separated from {second} again, closest {self._closest[pair]:.1f} m"
-            yield Event(now, "info", first, text)
-
-    def _closest_pair(self, pairs: Indices, distance: Array) -> str:
-        """Describe the pair with the smallest distance among some."""
-        pair = pairs[distance[pairs].argmin()]
-        first, second = self._pair_names(pair)
-        return f"closest {first} and {second} at {distance[pair]:.1f} m"
+            first, other = self._pair_names(pair)
+            limits = {"limit": self._minimum[pair], "source": self._source}
+            yield Event(now, level, first, one.format(m=distance[pair], other=other, **limits))
 
     def _pair_names(self, pair: np.intp) -> tuple[str, str]:
         return self._names[self._first[pair]], self._names[self._second[pair]]
@@ -242,7 +231,6 @@ class EnvelopeMonitor:
     def __init__(
         self, names: Sequence[str], limits: Array, faults: FaultManager | None, *, stops: bool
     ) -> None:
-        """See the class."""
         self._names, self._faults, self._stops = names, faults, stops
         self._limits = limits
         self._closest_m: Array = np.full(len(names), inf)

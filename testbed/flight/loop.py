@@ -154,7 +154,6 @@ class Flight:
             yield self._formation.write_slots
 
     def _make_stages(self) -> Iterator[Stage]:
-        """Yield the stages of a tick."""
         yield from self._sensing()
         yield from self._controlling()
         yield from self._actuating()

@@ -26,7 +26,6 @@ class GustMonitor:
     """
 
     def __init__(self, gusts: Sequence[str], names: Sequence[str]) -> None:
-        """See the class."""
         self._gusts, self._names = gusts, names
         self._active: BoolArray = np.zeros((len(gusts), len(names)), dtype=bool)
 
@@ -72,7 +71,6 @@ class JoinMonitor:
     def __init__(
         self, names: Sequence[str], base_rate_hz: int, aircraft: Records, followers: Records
     ) -> None:
-        """See the class."""
         self._names, self._rate_hz = names, base_rate_hz
         self._joins = allocate(JOIN, len(names))
         self._joins["since"] = -1
@@ -257,7 +255,6 @@ class LinkMonitor:
         builtin: bool,
         hold: bool,
     ) -> None:
-        """See the class."""
         self._names, self._neighbours = names, neighbours
         self._followers, links = records
         self._builtin, self._hold = builtin, hold

@@ -260,7 +260,6 @@ class TickLoop:
         return self._actions_of[key]
 
     def _grow(self) -> None:
-        """Double the space for actions."""
         actions = allocate(ACTION, 2 * self._count)
         actions[: self._count] = self._actions
         self._actions = actions

@@ -190,7 +190,6 @@ class Hbh23Law:
         step_reads: tuple[Deferred, ...] = (),
         velocity_reads: tuple[Deferred, ...] = (),
     ) -> None:
-        """See the class."""
         self.law, self.neighbours = law, neighbours
         self.step_reads, self.velocity_reads = step_reads, velocity_reads
 

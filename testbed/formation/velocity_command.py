@@ -94,7 +94,6 @@ def ground_speed_bounds(
 
 @kernel
 def _follower_bounds(config: FollowerConfig, own: Values) -> tuple[float, float]:
-    """Compute the bounds of one follower."""
     if isfinite(config.ground_speed_max):
         return config.ground_speed_min, config.ground_speed_max
     shift = norm(own.velocity_ned) - own.airspeed

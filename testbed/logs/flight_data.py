@@ -55,7 +55,7 @@ class FlightData:
         if metrics is None or "windows" not in metrics:
             outcome = metrics.get("outcome", "cut short") if metrics else "cut short"
             return f"<{line}; {outcome}>"
-        from testbed.metrics.tables import table_text
+        from testbed.metrics.printed_tables import table_text
 
         return f"{line}\n{table_text(metrics)}"
 
@@ -63,7 +63,7 @@ class FlightData:
         """Show the same in a notebook."""
         from html import escape
 
-        from testbed.metrics.tables import table_html
+        from testbed.metrics.printed_tables import table_html
 
         line, *rest = repr(self).splitlines()
         table = table_html(self.metrics) if self.metrics and rest else ""

@@ -95,7 +95,6 @@ class McapWriter:
     """
 
     def __init__(self, path: Path) -> None:
-        """See the class."""
         self.path = path
         try:
             self._file = open(path, "xb", buffering=0)  # noqa: SIM115 - closed by close()

@@ -113,7 +113,6 @@ class MessageRows:
     """
 
     def __init__(self, groups: Sequence[tuple[bytes, Sequence[LogChannel]]]) -> None:
-        """See the class."""
         self._groups = [(channels, _HEAD.itemsize + len(data)) for data, channels in groups]
         self._channels = [channel for channels, _ in self._groups for channel in channels]
         self._definitions = _register(self._channels)

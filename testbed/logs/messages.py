@@ -82,7 +82,6 @@ def _column(source: str, default_source: str | None = None) -> Column:
 
 
 def _columns(record: str) -> tuple[Column, ...]:
-    """Make the columns of all logged fields of a record."""
     return tuple(_column(f"{record}.{field}") for field in _logged_fields(RECORDS[record]))
 
 

@@ -110,7 +110,6 @@ class TransformsTemplate:
     """
 
     def __init__(self, parent: str, children: Sequence[str]) -> None:
-        """Lay out the poses of these child frames in the parent frame."""
         self.data = b""
         # runs of children with names of one length: how many, their offset, the values of one
         self._runs: list[tuple[int, int, np.dtype[np.void]]] = []
@@ -147,7 +146,6 @@ def _transform(parent: str, child: str) -> bytes:
 
 
 def _transform_values(transform: bytes) -> np.dtype[np.void]:
-    """Find the values of a transform in its bytes."""
     seconds = transform.index(_STAMP) + 1
     rotation = len(transform) - len(_doubles(4))
     values = {

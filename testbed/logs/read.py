@@ -114,7 +114,7 @@ def read_log(path: Path) -> RunLog:
         **records,
         lost=columns["lost"],
         events=_events(path, contents, info.start_unix_ns),
-        metrics=cast("Metrics | None", metrics or None),  # not checked: see metrics.check
+        metrics=cast("Metrics | None", metrics or None),  # not checked: see metrics.document_check
         finished=contents.finished,
         lost_bytes=contents.lost_bytes,
     )

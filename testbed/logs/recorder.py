@@ -79,7 +79,6 @@ class McapRecorder(BlockObserver):
     def __init__(
         self, path: Path, additions: Iterable[Addition] = (), *, live: bool = True
     ) -> None:
-        """See the class."""
         self.path, self._live = path, live
         self._additions = iter(additions)
         self._next_addition = next(self._additions, None)
@@ -194,7 +193,6 @@ class McapRecorder(BlockObserver):
             yield
 
     def _flush(self) -> None:
-        """Write a chunk."""
         if (file := self._file) is not None:
             samples = self._take()
             with self._closed_by_errors():
@@ -381,7 +379,6 @@ class FixCovariance:
     """Average the squared errors of N estimated positions, from the first sample on."""
 
     def __init__(self, aircraft: int) -> None:
-        """Start without samples."""
         self._sums = np.zeros((aircraft, 3, 3))  # m²
         self._count = 0
 

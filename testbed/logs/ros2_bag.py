@@ -56,7 +56,6 @@ class Ros2Bag:
     """
 
     def __init__(self, folder: Path) -> None:
-        """See the class."""
         self._writer = Writer(folder, version=_BAG_VERSION, storage_plugin=StoragePlugin.MCAP)
         self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
         self._topics: dict[str, Any] = {}

@@ -1,1 +1,1 @@
-"""MAVLink: its frames, telemetry logs, and flights of real aircraft brought in from their logs."""
+"""MAVLink, live: codec, links, the vehicles that ground stations see, and the telemetry log."""

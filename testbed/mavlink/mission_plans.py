@@ -264,7 +264,6 @@ class _ItemReader:
         radius: float,
         origin: NedOrigin,
     ) -> None:
-        """Start without an executed item."""
         self.items, self.reached = items, set[int]()
         self._params, self._radius, self._origin = params, radius, origin
         self._steps = 0

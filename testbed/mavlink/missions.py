@@ -148,7 +148,6 @@ class MissionProtocol:
     """Receive and send missions; a mission is applied only when it is complete."""
 
     def __init__(self, context: VehicleContext) -> None:
-        """Start without an upload."""
         self._context = context
         self._upload: _Upload | None = None
         self._done: tuple[Sender, int, MissionResult] | None = None  # the last upload
@@ -243,12 +242,10 @@ class MissionProtocol:
         return replies + build_message("MISSION_CURRENT", self._context)
 
     def _abort(self, upload: _Upload, result: MissionResult, text: str) -> list[OutgoingMessage]:
-        """End an upload, with the reason."""
         self._upload = None
         return [_ack(upload.sender, result), *self._context.warn(text)]
 
     def _refuse(self, message: Message, result: MissionResult, text: str) -> list[OutgoingMessage]:
-        """Refuse a message, with the reason."""
         ack = _ack(sender_of(message), result, _mission_type(message))
         return [ack, *self._context.warn(text)]
 

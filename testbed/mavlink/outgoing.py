@@ -56,7 +56,6 @@ class StatusTexts:
     """Make STATUSTEXT messages, and suppress frequent equal warnings."""
 
     def __init__(self) -> None:
-        """Start without earlier texts."""
         self._latest_id = 0
         self._warned: dict[str, float] = {}  # wall-clock time of each recent warning
 

@@ -34,7 +34,6 @@ class MavlinkLink:
     """
 
     def __init__(self, endpoint: Endpoint, rows: Sequence[int], codec: Codec) -> None:
-        """Start with nothing to send."""
         self.endpoint, self.rows, self.codec = endpoint, frozenset(rows), codec
         self.unhandled: deque[Message] = deque()
         self._packet = bytearray()

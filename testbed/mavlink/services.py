@@ -20,7 +20,6 @@ class Services:
     """Answer requests that need no access to the aircraft."""
 
     def __init__(self, context: VehicleContext, schedule: MessageSchedule) -> None:
-        """Serve one vehicle."""
         self._context, self._schedule = context, schedule
         self.handlers: Mapping[str, Handler] = {
             "FILE_TRANSFER_PROTOCOL": self._ftp,

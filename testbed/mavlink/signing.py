@@ -109,7 +109,6 @@ class MessageSigner:
     """
 
     def __init__(self, signing: Signing) -> None:
-        """Start without received streams."""
         self._signing = signing
         self._time = signing.time
         self._latest: dict[tuple[int, int, int], int] = {}

@@ -83,7 +83,6 @@ class Tlog:
     """
 
     def __init__(self, path: Path) -> None:
-        """Read the file."""
         self._data = read_bounded(path, MAX_FLIGHT_LOG_BYTES, error=MavlinkError)
         self.unread = self.damaged = self.cut = 0
 

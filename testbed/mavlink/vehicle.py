@@ -7,11 +7,11 @@ from collections.abc import Mapping
 from testbed.core.records import Event, RunInfo
 from testbed.mavlink import telemetry_status as status
 from testbed.mavlink.codec import Message
-from testbed.mavlink.commands import CommandProtocol
+from testbed.mavlink.command_protocol import CommandProtocol
 from testbed.mavlink.manual_control import ManualControl
 from testbed.mavlink.missions import MissionProtocol
 from testbed.mavlink.outgoing import Handler, OutgoingMessage, Severity
-from testbed.mavlink.parameters import ParameterProtocol
+from testbed.mavlink.parameter_protocol import ParameterProtocol
 from testbed.mavlink.services import Services
 from testbed.mavlink.telemetry_messages import (
     HEARTBEAT,

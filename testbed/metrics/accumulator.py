@@ -112,12 +112,10 @@ def make_block(samples: SampleRows) -> SampleBlock:
 
 
 def _join(blocks: Sequence[SampleBlock]) -> SampleBlock:
-    """Join blocks of consecutive samples."""
     return SampleBlock(*(np.concatenate(arrays) for arrays in zip(*blocks, strict=True)))
 
 
 def _cut(block: Iterable[Any], samples: slice) -> SampleBlock:
-    """Return some samples of a block."""
     return SampleBlock(*(array[samples] for array in block))
 
 
@@ -167,7 +165,6 @@ class Accumulator:
         sample_rate_hz: int,
         medium_ned: Array,
     ) -> None:
-        """See the class."""
         self._spans = list(windows.values())
         self._base_rate_hz, self._medium_ned = base_rate_hz, medium_ned
         p, n = len(windows), followers

@@ -31,7 +31,6 @@ class MetricsObserver(BlockObserver):
         windows: Mapping[str, tuple[float, float]] | None = None,
         published: Mapping[str, Any] | None = None,
     ) -> None:
-        """See the class."""
         self._own_windows = windows
         self._published = published
         self._info: RunInfo | None = None

@@ -56,7 +56,6 @@ class _Detector:
     """Find ringing in the bank of one follower."""
 
     def __init__(self, base_rate_hz: int) -> None:
-        """Start without an extremum."""
         self._rate = base_rate_hz
         self._ticks = 0  # of ringing
         self._last = math.nan  # tick of the last extremum of a ringing bank
@@ -154,7 +153,6 @@ class RingingMonitor:
     """
 
     def __init__(self, followers: int, base_rate_hz: int) -> None:
-        """Start without samples."""
         self._base_rate_hz = base_rate_hz
         self._detectors = [_Detector(base_rate_hz) for _ in range(followers)]
         self.assessed = np.zeros(followers, dtype=np.int64)  # samples

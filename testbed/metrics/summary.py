@@ -99,7 +99,6 @@ def summarise(
 
 
 def _window(total: Accumulator, p: int, span: tuple[float, float], info: RunInfo) -> dict[str, Any]:
-    """Numbers of window p."""
     followers = info.names[1:]
     count = int(total.window_samples[p])
     covered = count / info.sample_rate_hz

@@ -1,1 +1,1 @@
-"""What happens to a message between two aircraft."""
+"""Messages between aircraft: delay, loss, rate, encoding, statistics."""

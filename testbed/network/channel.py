@@ -249,7 +249,6 @@ def _moments(value_of: Callable[[Array], Array]) -> tuple[float, float]:
 
 
 def _set_tdma_slot(record: Records, tdma: Tdma, names: Sequence[str], sender: str) -> None:
-    """Set the sender's slot of each frame."""
     order = tdma.order or tuple(names)
     record["slot"] = tdma.frame_s
     record["first_slot"] = order.index(sender) * tdma.frame_s / len(order)

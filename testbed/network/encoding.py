@@ -53,7 +53,6 @@ class Encoder:
     UNSAVED = ("_frames",)
 
     def __init__(self, encoding: Encoding, channel: Channel) -> None:
-        """Start before the first broadcast."""
         self._encoding, self._channel = encoding, channel
         self._read = allocate(MESSAGE, len(channel.names))
         self._frames: Frames = np.zeros((0, 0), np.uint8)  # of the last broadcast

@@ -90,7 +90,6 @@ class OutageEvents:
     """Report outages as they begin and end."""
 
     def __init__(self, outages: Outages) -> None:
-        """Start before the first event."""
         lines = [(each.begin_s, each.source, each.begins) for each in outages.windows]
         lines += [(each.end_s, each.source, each.ends) for each in outages.windows]
         self._lines = sorted(lines, key=lambda line: line[0], reverse=True)
@@ -139,7 +138,6 @@ def _blackouts(names: Sequence[str], pairs: PairLinks) -> Iterator[Outage]:
 
 
 def _describe(names: Sequence[str], links: BoolArray) -> str:
-    """Describe links in words."""
     if links.sum() == (len(names) - 1) ** 2:  # each follower receives from all but itself
         return "on all links"
     senders = np.flatnonzero(links.any(axis=0)).tolist()

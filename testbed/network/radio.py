@@ -83,7 +83,6 @@ class Radio:
         clocks: Records | None = None,
         links: Records | None = None,
     ) -> None:
-        """See the class."""
         n, aircraft = channel.links.shape
         self._channel, self._losses = channel, losses or ExtraLosses()
         self.needs_all_positions = self._losses.fading is not None
@@ -195,7 +194,6 @@ class Radio:
         return self.packets
 
     def _send_broadcast(self, truth: VehicleState | None) -> None:
-        """Send the next broadcast."""
         if self._has_losses:
             self._write_losses(truth)
         if self._encoder is None:

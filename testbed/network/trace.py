@@ -115,7 +115,6 @@ class TraceFile:
     """
 
     def __init__(self, path: Path) -> None:
-        """See the class."""
         table = read_table(path)
         table.numbers({})  # every row is as long as the header
         missing = [name for name in COLUMNS if name not in table.header]

@@ -1,1 +1,1 @@
-"""What a scenario means for its aircraft, worked out once before anything is built."""
+"""From a scenario to a flight: files, gains and the graph of the formation, and the builders."""

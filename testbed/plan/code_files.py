@@ -9,6 +9,7 @@ import sysconfig
 from collections.abc import Iterator
 from contextlib import suppress
 from functools import cache
+from itertools import accumulate, chain
 from pathlib import Path
 
 from testbed.core.errors import InputError
@@ -46,8 +47,8 @@ def code_files(name: str) -> tuple[Path, ...]:
         if file in found:
             continue
         found[file] = None
-        names = [*_imported(file), *(loaded_by(str(origin)) if file == first else ())]
-        files = [_file_of(each, file.parent) for each in names] + list(_relative(file))
+        loaded = loaded_by(str(origin)) if file == first else ()
+        files = [*_imported(file), *(_file_of(each, file.parent) for each in loaded)]
         queue += [each for each in files if each is not None and _is_own(each, root)]
     return (first, *sorted(found.keys() - {first}))
 
@@ -113,36 +114,26 @@ def _python_file(path: Path) -> Path | None:
     return None
 
 
-def _tree(file: Path) -> ast.AST | None:
-    """Return the syntax tree of a file of Python, None of any other."""
+def _imported(file: Path) -> Iterator[Path | None]:
+    """Yield the files of the imports in a file of Python, also names in modules that may be files.
+
+    An import also runs the packages that a module is in.
+    """
     if file.suffix != ".py":
-        return None
+        return
     try:
-        return ast.parse(read_bounded(file))
+        tree = ast.parse(read_bounded(file))
     except (InputError, SyntaxError, ValueError, RecursionError):
-        return None
-
-
-def _imported(file: Path) -> Iterator[str]:
-    """Yield the modules of a file's absolute imports, also names in them that may be modules."""
-    for node in ast.walk(tree) if (tree := _tree(file)) is not None else ():
+        return
+    for node in ast.walk(tree):
+        modules: list[str] = []
         if isinstance(node, ast.Import):
-            for each in node.names:
-                yield from _with_packages(each.name)
+            modules = [each.name for each in node.names]
         elif isinstance(node, ast.ImportFrom) and not node.level and node.module:
-            yield from _with_packages(node.module)
-            yield from (f"{node.module}.{each.name}" for each in node.names)
-
-
-def _with_packages(module: str) -> Iterator[str]:
-    """Yield a module, and the packages that it is in: an import runs them too."""
-    parts = module.split(".")
-    yield from (".".join(parts[: count + 1]) for count in range(len(parts)))
-
-
-def _relative(file: Path) -> Iterator[Path | None]:
-    """Yield the files of a file's relative imports."""
-    for node in ast.walk(tree) if (tree := _tree(file)) is not None else ():
+            modules = [f"{node.module}.{each.name}" for each in node.names]
+        names = (accumulate(each.split("."), "{}.{}".format) for each in modules)
+        for name in dict.fromkeys(chain.from_iterable(names)):
+            yield _file_of(name, file.parent)
         if isinstance(node, ast.ImportFrom) and node.level:
             base = file.parents[min(node.level, len(file.parents)) - 1]
             module = base.joinpath(*node.module.split(".")) if node.module else base

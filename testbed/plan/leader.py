@@ -223,7 +223,6 @@ def _blocks(
 
 
 def _leg(leg: Leg) -> WaypointLeg | LoiterLeg:
-    """Convert a leg of the scenario."""
     if leg.kind == "waypoints":
         return WaypointLeg(points=leg.points_m, laps=leg.laps)
     return LoiterLeg(
@@ -235,7 +234,6 @@ def _leg(leg: Leg) -> WaypointLeg | LoiterLeg:
 
 
 def _curve(section: Start, path: Virtual) -> paths.Curve:
-    """Convert the curve of a virtual leader from its start."""
     curve = path.curve
     begin: Any = {
         "position_ned": (section.north_m, section.east_m, -section.altitude_m),

@@ -5,37 +5,22 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import NamedTuple
 
 from testbed.core.input_files import MAX_TABLE_BYTES, read_bounded
 from testbed.plan.code_files import code_files
 from testbed.scenario import Scenario, open_scenario
-from testbed.scenario.reference_fields import Reference, ReferenceKind, references
+from testbed.scenario.reference_fields import Reference, references
 from testbed.scenario.references import find_reference
 
 _OF_AIRCRAFT = (".xml", ".yaml", ".param")  # what is read of an aircraft's folder
 
 
-class Referent(NamedTuple):
-    """What a reference of a resolved scenario names.
-
-    Args:
-        kind: of the reference.
-        name: its text.
-        aircraft: of a tune: the aircraft that it is for; else empty.
-    """
-
-    kind: ReferenceKind
-    name: str
-    aircraft: str
+def referents(scenario: Scenario) -> dict[Reference, None]:
+    """Return what a resolved scenario names, in order: references without their keys."""
+    return {each._replace(loc=()): None for each in references(scenario)}
 
 
-def referents(scenario: Scenario) -> dict[Referent, None]:
-    """Return what a resolved scenario names, in order."""
-    return {Referent(*each[1:]): None for each in references(scenario)}
-
-
-def file_digests(named: Iterable[Referent]) -> dict[str, str]:
+def file_digests(named: Iterable[Reference]) -> dict[str, str]:
     """Return short SHA-256 digests of all files that references name, by name of the file.
 
     A file is named with its folder, one of an aircraft from the aircraft's folder on, as in
@@ -59,7 +44,7 @@ def digests(files: Mapping[str, Path]) -> dict[str, str]:
     }
 
 
-def referenced_files(named: Iterable[Referent]) -> dict[str, Path]:
+def referenced_files(named: Iterable[Reference]) -> dict[str, Path]:
     """Return the files whose content can change the numbers of a scenario, by name.
 
     These are all that references name: of an aircraft those of its folder, of code those that it
@@ -74,18 +59,17 @@ def referenced_files(named: Iterable[Referent]) -> dict[str, Path]:
     files: dict[Path, int] = {}  # with the length of its name, in parts of its path
     queue = list(named)
     seen = set(queue)
-    for referent in queue:
-        kind, name, aircraft = referent
-        if kind == "code":
-            files |= dict.fromkeys(code_files(name), 2)
+    for each in queue:
+        if each.kind == "code":
+            files |= dict.fromkeys(code_files(each.name), 2)
             continue
-        path = find_reference(Reference((), kind, name, aircraft))
-        if kind == "aircraft":
+        path = find_reference(each)
+        if each.kind == "aircraft":
             files |= _files_below(path)
-        elif kind == "scenario":
+        elif each.kind == "scenario":
             draft = open_scenario(path)
             files |= dict.fromkeys(draft.files, 2)
-            new = [each for each in referents(draft.resolve()) if each not in seen]
+            new = [other for other in referents(draft.resolve()) if other not in seen]
             queue += new
             seen |= set(new)
         else:

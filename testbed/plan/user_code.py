@@ -196,7 +196,6 @@ def _build_kernel(
 
 
 def _kernel_option(name: str, value: Any, default: Any) -> Any:  # noqa: ANN401
-    """Return an option as a kernel takes it."""
     if isinstance(value, list | tuple) and all(map(is_number, value)):
         return tuple(map(float, value))
     if isinstance(value, bool) or is_number(value):

@@ -11,6 +11,7 @@ import numpy as np
 
 from testbed.atmosphere.mean_wind import MeanWind
 from testbed.autopilot.parameters import AutopilotTiming, make_gains
+from testbed.compiled.compiled_fleet import make_compiled_fleet
 from testbed.core.errors import InputError
 from testbed.core.records import (
     Event,
@@ -30,7 +31,6 @@ from testbed.scenario.aircraft import VirtualAutopilot
 from testbed.scenario.checks import LOWEST_START_M
 from testbed.scenario.control import Controller
 from testbed.scenario.sections import Rates
-from testbed.vehicle.compiled_fleet import make_compiled_fleet
 from testbed.vehicle.fleet import FlightModels
 from testbed.vehicle.jsbsim_adapter import airframe_warnings
 from testbed.vehicle.trim import InitialState, error_prefix
@@ -283,7 +283,7 @@ def _follower_start(leader: InitialState, offset_m: tuple[float, float, float]) 
 
 def _instances(row: int, fixed: Mapping[int, int | None]) -> Sequence[int]:
     """Return the instances that an aircraft may have, the preferred one first."""
-    from testbed.autopilot.ardupilot_sitl import INSTANCES
+    from testbed.ardupilot.ardupilot_sitl import INSTANCES
 
     own = fixed[row]
     if own is not None:
@@ -316,7 +316,7 @@ def build_jsbsim_vehicles(
     if not any(each.arduplane for each in modelled):
         return JsbsimVehicles(models, gains, aircraft, rows)
     # imported here, as few scenarios need them
-    from testbed.autopilot.ardupilot_sitl import SitlConfig, SitlVehicle
+    from testbed.ardupilot.ardupilot_sitl import SitlConfig, SitlVehicle
 
     yaw = models.read().euler[:, 2]
     fixed = {

@@ -47,7 +47,7 @@ from testbed.plan.air import (
     temperature_warnings,
 )
 from testbed.plan.begin import make_begin
-from testbed.plan.commands import build_array_commands, build_external_control
+from testbed.plan.command_sessions import build_array_commands, build_external_control
 from testbed.plan.control import build_companions, build_control
 from testbed.plan.faults import build_faults, build_membership, fault_warnings
 from testbed.plan.fleet import Fleet, FormationPlan, resolve, resolve_single

@@ -10,7 +10,7 @@ from rich.table import Table
 from testbed.core.records import join_names
 from testbed.metrics.document import losses
 from testbed.metrics.facts import describe_network, facts, shown
-from testbed.metrics.tables import (
+from testbed.metrics.printed_tables import (
     MAX_LINKS,
     MAX_WINDOWS,
     arrival_tables,

@@ -12,7 +12,7 @@ from testbed.core.errors import InputError
 from testbed.core.records import Array, BoolArray
 from testbed.logs.read import RunLog, read_log, replay, scenario_of, select_window
 from testbed.logs.run_directory import find_run
-from testbed.metrics.check import check_metrics
+from testbed.metrics.document_check import check_metrics
 from testbed.metrics.model import Metrics
 from testbed.metrics.observer import MetricsObserver
 from testbed.scenario import Scenario

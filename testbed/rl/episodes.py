@@ -509,7 +509,6 @@ class Episodes:
             raise InputError(f"{_DRAWN}: {'.'.join(first.path)}: {first.text}") from None
 
     def _commanded(self, scenario: Scenario) -> Scenario:
-        """Return the scenario of an episode."""
         fleet = tuple(
             with_changes(each, commanded_by=External()) if each.name in self.agents else each
             for each in scenario.fleet

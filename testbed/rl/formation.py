@@ -68,7 +68,6 @@ class FormationEnv(ParallelEnv):  # type: ignore[misc] # a library without types
         render_mode: None = None,
         **task: Any,  # noqa: ANN401 - those of a dataclass
     ) -> None:
-        """See the class."""
         refuse_render_mode(render_mode)
         self.render_mode = render_mode
         self._episodes = Episodes({"scenario": scenario, **task}, None, nearest=True)

@@ -64,7 +64,6 @@ class HoldSlotEnv(gymnasium.Env[Any, Any]):
         render_mode: None = None,
         **task: Any,  # noqa: ANN401 - those of a dataclass
     ) -> None:
-        """See the class."""
         refuse_render_mode(render_mode)
         self.render_mode = render_mode
         self._name: str = check_argument("follower", follower, AircraftSection, "name")

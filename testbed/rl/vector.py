@@ -367,7 +367,6 @@ class HoldSlotVectorEnv(VectorEpisodes):
         threads: int | None = None,
         **task: Any,  # noqa: ANN401 - those of a dataclass
     ) -> None:
-        """See the class."""
         refuse_render_mode(render_mode)
         name: str = check_argument("follower", follower, AircraftSection, "name")
         flights = check_count("num_envs", num_envs)
@@ -399,7 +398,6 @@ class FormationVectorEnv(VectorEpisodes):
         threads: int | None = None,
         **task: Any,  # noqa: ANN401 - those of a dataclass
     ) -> None:
-        """See the class."""
         flights, arguments = check_count("num_flights", num_flights), {"scenario": scenario, **task}
         super().__init__(flights, None, arguments, autoreset_mode, threads, nearest=True)
 

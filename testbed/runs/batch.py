@@ -35,7 +35,7 @@ from testbed.metrics.model import Metrics
 from testbed.metrics.observer import MetricsObserver
 from testbed.plan.world import RowRecords, build
 from testbed.runs.command_ranges import RANGES, wrong_part
-from testbed.runs.progress import Progress, compiling_report, reporting_progress
+from testbed.runs.flight_progress import Progress, compiling_report, reporting_progress
 from testbed.runs.simulation import EventCollector, flight_metrics
 from testbed.scenario import Scenario, ScenarioError, find_loaded, set_seed
 from testbed.scenario.aircraft import ArduPlane
@@ -91,7 +91,6 @@ class Batch(NotCopied):
         duration_s: float | None = None,
         progress: Progress = None,
     ) -> None:
-        """See the class."""
         self._threads = _processors() if threads is None else check_count("threads", threads)
         self._scenarios = _row_scenarios(scenario, overrides, seeds, rows, duration_s)
         self.seeds = [each.scenario.seed for each in self._scenarios]
@@ -345,7 +344,6 @@ class _Row:
         return SavedState(flight=self._flight, metrics=self._meter, events=self.events)
 
     def _begin(self) -> None:
-        """Fly to the first tick."""
         self._flight.settle()
         self._begun_s = time.perf_counter()
         self._flight.fly_to(-math.inf)
@@ -396,7 +394,6 @@ def _row_scenarios(
     rows: Sequence[Sequence[str]] | None,
     duration_s: float | None,
 ) -> list[Scenario]:
-    """Return the scenario of each row."""
     own_seeds = None if seeds is None else check_list("seeds", seeds, "one for each row")
     settings = None if rows is None else check_list("rows", rows, "one for each row")
     if isinstance(scenario, list | tuple):

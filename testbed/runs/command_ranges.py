@@ -63,7 +63,6 @@ def wrong_part(part: str, value: object) -> str:
 
 
 def _wrong_command(command: object) -> str:
-    """Describe what is wrong with a command."""
     if not isinstance(command, Iterable) or isinstance(command, str | bytes | Mapping):
         command = ()
     values = list(itertools.islice(command, len(RANGES) + 1))

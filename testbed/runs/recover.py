@@ -15,8 +15,8 @@ from testbed.logs.mcap_file import NO_SAMPLES, LogError
 from testbed.logs.read import RunLog, read_log, replay, scenario_of
 from testbed.logs.recorder import McapRecorder
 from testbed.logs.run_directory import LOG_NAME, METRICS_NAME, find_run
-from testbed.metrics.check import check_metrics
 from testbed.metrics.document import write_json
+from testbed.metrics.document_check import check_metrics
 from testbed.metrics.model import Metrics
 from testbed.metrics.observer import MetricsObserver
 

@@ -18,7 +18,6 @@ class RepeatedFlights:
     """
 
     def __init__(self) -> None:
-        """Start without a flight."""
         self._kept: Batch | None = None
 
     def fly(self, scenario: Scenario) -> tuple[Metrics, bool]:

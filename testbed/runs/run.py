@@ -45,7 +45,7 @@ from testbed.runs.external_options import (
     external_summary,
     make_server,
 )
-from testbed.runs.progress import (
+from testbed.runs.flight_progress import (
     FlightProgress,
     Progress,
     Report,
@@ -86,13 +86,13 @@ class Run:
 
     def __repr__(self) -> str:
         """Show outcome, RMS errors by follower and window, and the directory."""
-        from testbed.metrics.tables import table_text
+        from testbed.metrics.printed_tables import table_text
 
         return table_text(self.metrics, str(self.directory or ""))
 
     def _repr_html_(self) -> str:
         """Show the same in a notebook."""
-        from testbed.metrics.tables import table_html
+        from testbed.metrics.printed_tables import table_html
 
         return table_html(self.metrics, str(self.directory or ""))
 

@@ -32,7 +32,12 @@ from testbed.metrics.observer import MetricsObserver
 from testbed.plan.world import build, build_single
 from testbed.runs.command_ranges import check_command
 from testbed.runs.external_options import external_summary
-from testbed.runs.progress import Progress, check_progress, compiling_report, reporting_progress
+from testbed.runs.flight_progress import (
+    Progress,
+    check_progress,
+    compiling_report,
+    reporting_progress,
+)
 from testbed.runs.run import check_observers, open_run_directory
 from testbed.scenario import Scenario, SingleAircraft, find_loaded, set_seed
 from testbed.scenario.aircraft import ArduPlane
@@ -89,7 +94,6 @@ class Simulation(NotCopied):
         progress: Progress = None,
         stages: Sequence[UserStage] = (),
     ) -> None:
-        """See the class."""
         self._stages = check_stages(stages)
         self._out = None if out is None else check_path("out", out)
         check_observers(observers)
@@ -135,7 +139,6 @@ class Simulation(NotCopied):
     def _begin(
         self, scenario: Scenario | SingleAircraft, compiling: Callable[[int, int], None] | None
     ) -> Sample:
-        """Begin a flight, and return its state."""
         with reporting(compiling):
             if isinstance(scenario, SingleAircraft):
                 world = build_single(scenario)
@@ -426,7 +429,6 @@ class EventCollector:
     events_only = True
 
     def __init__(self) -> None:
-        """Start without events."""
         self.all: list[Event] = []
 
     def begin(self, info: RunInfo) -> None:

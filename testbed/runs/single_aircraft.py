@@ -15,7 +15,7 @@ from testbed.core.records import (
     FbwaCommand,
     VehicleState,
 )
-from testbed.runs.progress import Progress
+from testbed.runs.flight_progress import Progress
 from testbed.runs.simulation import Simulation
 from testbed.scenario import SingleAircraft, resolve_single_aircraft
 from testbed.scenario.aircraft import AircraftSection, External, Mission, Start
@@ -84,7 +84,6 @@ class Aircraft(NotCopied):
         physics_hz: int = 100,
         progress: Progress = None,
     ) -> None:
-        """See the class."""
         given: dict[str, object] = {
             "aircraft": aircraft,
             "airspeed_mps": airspeed_mps,
@@ -188,7 +187,6 @@ class Aircraft(NotCopied):
 
 
 def _flight(arguments: Mapping[str, Any]) -> SingleAircraft:
-    """Return the flight of checked arguments."""
     header, own = ("duration_s", "seed"), ("aircraft", "sensors", "tune")
     return SingleAircraft(
         scenario=Header(schema_version=2, name=_NAME, **{key: arguments[key] for key in header}),

@@ -1,4 +1,4 @@
-"""Scenario files: read, check and resolve them to an immutable `Scenario`."""
+"""Scenario files: their keys, defaults and checks, read to an immutable `Scenario`."""
 
 from testbed.scenario.expect import unchecked as unchecked
 from testbed.scenario.load import ScenarioFile as ScenarioFile

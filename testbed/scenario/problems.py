@@ -46,7 +46,6 @@ class ScenarioError(InputError):
     """A scenario that cannot be used. `problems` has all of them, the text one per line."""
 
     def __init__(self, problems: Sequence[Problem]) -> None:
-        """Store the problems in the order given."""
         self.problems = tuple(problems)
         lines = [str(problem) for problem in self.problems[:MAX_LISTED]]
         if more := len(self.problems) - len(lines):

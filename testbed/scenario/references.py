@@ -1,7 +1,6 @@
 """Files that scenarios name: airframes, scenarios, studies, data, gains, laws; by name or path.
 
-A checkout has `aircraft/` and `scenarios/` beside the package, an installed wheel inside it. A name
-is that of a file there; no other folder is searched.
+A name is that of a file of `core.library`; no other folder is searched.
 """
 
 from __future__ import annotations
@@ -13,6 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar, cast
 
 from testbed.core.errors import InputError
+from testbed.core.library import library as library
 from testbed.scenario.checks import check_air, check_sensor_rates
 from testbed.scenario.fields import KeyPath
 from testbed.scenario.problems import FilePosition, Problem, ScenarioError, did_you_mean
@@ -24,15 +24,6 @@ from testbed.scenario.yaml_io import Node, error_at, walk
 _Found = TypeVar("_Found")
 _DATA = Path("scenarios/data")
 _YAML, _PARAM = ".yaml", ".param"
-_PACKAGE = Path(__file__).resolve().parent.parent
-
-
-def library() -> Path:
-    """Return the folder that holds `aircraft/` and `scenarios/`."""
-    checkout = _PACKAGE.parent
-    if (checkout / "aircraft").is_dir() and (checkout / "scenarios").is_dir():
-        return checkout
-    return _PACKAGE / "_data"
 
 
 def list_aircraft() -> tuple[str, ...]:

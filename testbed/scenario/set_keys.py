@@ -256,7 +256,6 @@ class KeyUse:
     """
 
     def __init__(self) -> None:
-        """Begin without a flight."""
         self._used: set[tuple[bool, Keys]] = set()
         self._unused: dict[tuple[bool, Keys], UnusedKey] = {}
         self._free: set[tuple[bool, Keys]] = set()  # of a file that is flown without settings

@@ -17,7 +17,7 @@ from testbed.core.frames import GRAVITY
 from testbed.core.records import Record, Records, allocate
 from testbed.core.standard_atmosphere import SEA_LEVEL_DENSITY
 from testbed.scenario.sensors import Sensors
-from testbed.sensors.errors import ConstantBiases, is_sampled
+from testbed.sensors.sensor_errors import ConstantBiases, is_sampled
 
 MIN_PRESSURE = 1e-4  # Pa: the autopilot divides by the airspeed, which must not be 0
 

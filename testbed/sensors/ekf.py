@@ -23,7 +23,7 @@ import numpy as np
 from testbed.core.compile import kernel
 from testbed.core.frames import GRAVITY, rotation_rows
 from testbed.core.records import Array, Record, Records, Values, Vector, allocate
-from testbed.sensors.errors import is_sampled
+from testbed.sensors.sensor_errors import is_sampled
 
 # First of the states of each kind. Biases are those that the filter subtracts, the wind is its
 # estimate; all others are errors: estimate − truth.

@@ -25,7 +25,7 @@ from testbed.sensors.ekf import (
     make_filters,
     start_filters,
 )
-from testbed.sensors.errors import (
+from testbed.sensors.sensor_errors import (
     GaussMarkovErrors,
     add_jitter_to_all,
     make_constant_biases,
@@ -62,7 +62,6 @@ class StateEstimators:
         rate_hz: int,
         sensor_faults: bool = False,
     ) -> None:
-        """See the class."""
         dt = 1.0 / rate_hz
         self._count, self._rate_hz, self._step = len(names), rate_hz, np.zeros(1, dtype=np.intp)
         # errors, and the entry that adds them with its first arguments

@@ -7,7 +7,7 @@ from testbed.core.copies import copy_motion
 from testbed.core.records import Array, Indices, Records
 from testbed.sensors.airspeed import measure_airspeed, write_airspeeds
 from testbed.sensors.ekf import apply_errors, ekf_step
-from testbed.sensors.errors import advance_errors
+from testbed.sensors.sensor_errors import advance_errors
 
 
 @entry

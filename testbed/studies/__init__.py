@@ -1,5 +1,4 @@
-"""Many flights: golden tables, comparisons of runs, studies and the tuning of gains.
+"""Studies: many flights of one question, from a plan to a table of their numbers.
 
-Scenarios fly in worker processes; only their metrics come back. No other package but the command
-line imports this one.
+Scenarios fly in worker processes; only their metrics come back.
 """

@@ -20,7 +20,7 @@ from typing import Any, BinaryIO
 from testbed.core.errors import InputError
 from testbed.core.files import report_write_errors
 from testbed.core.input_files import parse_json_map
-from testbed.studies.flight_task import OUTCOMES
+from testbed.pool.flight_task import OUTCOMES
 
 METRICS = "metrics."  # prefix of columns with numbers of metrics.json
 SET = "set."  # prefix of columns with the keys that vary

@@ -9,10 +9,11 @@ from dataclasses import dataclass
 from testbed.core.errors import InputError
 from testbed.metrics.names import run_numbers
 from testbed.plan.code_check import check_code, code_names
-from testbed.plan.scenario_files import Referent, referents
+from testbed.plan.scenario_files import referents
 from testbed.plan.world import build
 from testbed.scenario import Scenario, place_of_key
 from testbed.scenario.problems import Problem, ScenarioError, did_you_mean, merge_repeated
+from testbed.scenario.reference_fields import Reference
 from testbed.scenario.set_keys import KeyUse
 from testbed.scenario.yaml_io import walk
 from testbed.studies.journal import flatten_metrics
@@ -41,7 +42,7 @@ class CheckedPlan:
     """
 
     scenarios: Mapping[str, Scenario]
-    referents: Collection[Referent]
+    referents: Collection[Reference]
     checked: int
     invalid: int
     example: str
@@ -64,7 +65,7 @@ def check_plan(plan: Plan) -> CheckedPlan:
     """
     drawn = any(values.is_distribution for values in plan.study.config.vary.values())
     scenarios: dict[str, Scenario] = {}
-    named: dict[Referent, None] = {}
+    named: dict[Reference, None] = {}
     flown = FlownScenarios(plan)
     checked = invalid = 0
     example = ""
@@ -103,7 +104,6 @@ class FlownScenarios:
     """Scenarios of a plan, for checks that need only those that differ."""
 
     def __init__(self, plan: Plan) -> None:
-        """Begin without a scenario."""
         self._plan = plan
         self._codes: dict[tuple[str, ...], tuple[StudyRun, Scenario]] = {}
         self._shapes: dict[object, Scenario] = {}

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from testbed.studies.flight_task import COMPLETED
+from testbed.pool.flight_task import COMPLETED
 from testbed.studies.journal import METRICS, SET
 from testbed.studies.point_runs import PointRuns
 from testbed.studies.study_schema import StudyConfig
@@ -108,7 +108,6 @@ def precision_notes(config: StudyConfig, found: Sequence[PointPrecision]) -> Ite
 
 
 def _setting(each: PointPrecision) -> str:
-    """Return a case and a point in words."""
     values = [
         f"{key} = {value:g}" if isinstance(value, float) else f"{key} = {value}"
         for key, value in each.point.items()

@@ -13,7 +13,7 @@ PART = "margins"  # of the document with the numbers
 
 def predicted_names() -> tuple[str, ...]:
     """Return the names of the numbers, as columns of a study."""
-    from testbed.trials.held_flight import COMMANDS
+    from testbed.linear.held_flight import COMMANDS
 
     of_commands = [
         f"{command}_{number}"
@@ -41,10 +41,10 @@ def predict_numbers(bank_deg: float, scenario: Scenario) -> dict[str, Any]:
         InputError: the scenario cannot be linearised.
     """
     # scipy is imported by the workers that need it
-    from testbed.trials.held_flight import COMMANDS
-    from testbed.trials.linear_formation import MAX_GAIN, MAX_LATENCY_S
-    from testbed.trials.margins import directions
-    from testbed.trials.predicted_margins import predict_margins, worse_prediction
+    from testbed.linear.flown_margins import directions
+    from testbed.linear.held_flight import COMMANDS
+    from testbed.linear.loop_margins import MAX_GAIN, MAX_LATENCY_S
+    from testbed.linear.predicted_margins import predict_margins, worse_prediction
 
     found = worse_prediction([predict_margins(scenario, bank) for bank in directions(bank_deg)])
     if found.problem:

@@ -13,7 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
-from testbed.studies.flight_task import COMPLETED
+from testbed.pool.flight_task import COMPLETED
 from testbed.studies.journal import JournalRow
 from testbed.studies.map_refinement import points_to_add
 from testbed.studies.plan import Plan
@@ -55,7 +55,6 @@ class AllRuns:
     round_text = ""
 
     def __init__(self, plan: Plan) -> None:
-        """Begin without rows."""
         self._points = range(len(plan) // len(plan.seeds))
         self.total = len(plan)
         self.done = 0
@@ -81,7 +80,6 @@ class ChosenRuns:
     """
 
     def __init__(self, plan: Plan) -> None:
-        """Begin without rows."""
         settings = plan.study.config.study
         self._until, self._refine = settings.until, settings.refine
         self._metric = settings.deciding_metrics[0][1]
@@ -124,7 +122,6 @@ class ChosenRuns:
             self._waiting.setdefault(point, []).append(row)
 
     def _add(self, row: JournalRow) -> None:
-        """Add a row of a point that is chosen."""
         point, seed = divmod(row.run, self._seeds)
         number: float | None = None  # the flight was not completed
         if row.outcome == COMPLETED:

@@ -12,7 +12,7 @@ import os
 import re
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -23,6 +23,11 @@ from testbed.metrics.document import initial_warnings
 from testbed.metrics.expectations import bound_key, violations
 from testbed.plan.scenario_files import file_digests
 from testbed.plan.world import versions
+from testbed.pool.dask_workers import cluster_notices
+from testbed.pool.flight_code import flight_code
+from testbed.pool.flight_pool import FlightPool, Progress, Report, open_flight_pool
+from testbed.pool.flight_task import COMPLETED, OUTCOMES, FlightResult, FlightTask
+from testbed.pool.scenario_snapshot import differences, snapshot
 from testbed.runs.bounds import violation_lines
 from testbed.scenario import Scenario, dump, set_seed
 from testbed.scenario.arguments import (
@@ -32,16 +37,11 @@ from testbed.scenario.arguments import (
     check_path,
 )
 from testbed.scenario.problems import ScenarioError
-from testbed.studies.dask_workers import cluster_notices
-from testbed.studies.flight_code import flight_code
-from testbed.studies.flight_pool import FlightPool, open_flight_pool
-from testbed.studies.flight_task import COMPLETED, OUTCOMES, FlightResult, FlightTask
 from testbed.studies.journal import Journal, JournalRow, flatten_metrics
 from testbed.studies.plan import Plan, Study, load_study
 from testbed.studies.plan_check import CheckedPlan, check_plan
 from testbed.studies.predicted_numbers import predict_numbers
 from testbed.studies.run_choice import RunChoice, choose_runs
-from testbed.studies.scenario_snapshot import differences, snapshot
 from testbed.studies.table import (
     StudyOutput,
     find_output,
@@ -54,9 +54,6 @@ REFRESH_S = 30.0  # between two writes of the result file while runs are flown, 
 MAX_WRITE_SHARE = 0.02  # of the time, for these writes
 MAX_WARNINGS = 6  # kinds of warnings from before a flight that are reported
 _LEFT_OUT = ("name", "question", "metrics")  # settings that change no row
-
-Progress = Callable[[int, int], None]
-Report = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)

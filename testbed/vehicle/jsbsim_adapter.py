@@ -19,6 +19,9 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import jsbsim
 
+from testbed.airframes.airframe_validation import MAX_BYTES, has_planet, probe_in_copy
+from testbed.airframes.inertia import impossible_inertia, unlikely_inertia
+from testbed.airframes.powerplant import AircraftError
 from testbed.core.errors import InputError
 from testbed.core.input_files import open_regular
 from testbed.core.records import Airframe, NedOrigin
@@ -29,13 +32,10 @@ from testbed.vehicle.airframe_measurement import (
     lift_slope,
     measured_airframe,
 )
-from testbed.vehicle.airframe_validation import MAX_BYTES, has_planet, probe_in_copy
 from testbed.vehicle.control_surfaces import ControlGeometry, find_control_geometry
 from testbed.vehicle.environment import INTEGRATORS, Integrators, load_planet
-from testbed.vehicle.inertia import impossible_inertia, unlikely_inertia
 from testbed.vehicle.jsbsim_model import JsbsimModel, Traits
 from testbed.vehicle.linearize import Linear, NaturalMode, find_modes, linearize
-from testbed.vehicle.powerplant import AircraftError
 from testbed.vehicle.trim import (
     TrimError,
     TrimPoint,
@@ -121,7 +121,6 @@ class JsbsimLogCapture:
     on_error: Callable[[str], None] = staticmethod(_ignore)
 
     def __init__(self) -> None:
-        """Start without a record."""
         super().__init__()
         self._is_error, self._place, self._text = False, "", ""
 

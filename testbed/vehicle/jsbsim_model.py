@@ -14,12 +14,12 @@ from typing import Any
 
 import numpy as np
 
+from testbed.airframes.powerplant import AircraftError, Powerplant, at_rest
 from testbed.core.frames import FOOT, rotation_ned_body
 from testbed.core.geodetic import RADIANS, geodetic_from_ned, local_frame
 from testbed.core.records import Array, NedOrigin
 from testbed.vehicle.control_surfaces import SURFACES
 from testbed.vehicle.environment import INTEGRATORS, Integrators, set_environment
-from testbed.vehicle.powerplant import AircraftError, Powerplant, at_rest
 from testbed.vehicle.trim import STILL, Controls, Placement, TrimError, Vector
 
 # Properties of the aircraft files: subtracted from the rates and added to the rolling moment.

@@ -153,7 +153,6 @@ def _evaluate(
 
 
 def _moved(placement: Placement, name: str, change: float) -> Placement:
-    """Return a placement with one state changed."""
     if name == "theta":
         return replace(placement, pitch=placement.pitch + change)
     if name == "phi":

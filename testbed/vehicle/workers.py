@@ -182,7 +182,6 @@ class _Workers:
     """
 
     def __init__(self, setups: Sequence[tuple[Sequence[int], Setup]]) -> None:
-        """Fork them."""
         make = multiprocessing.get_context("fork").Semaphore
         self._begin, self._done = ([make(0) for _ in setups] for _ in range(2))
         self._rows = [rows for rows, _ in setups]

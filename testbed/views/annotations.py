@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.core.records import Array
-from testbed.views.batch import ViewBatch
 from testbed.views.cameras import HALF_HEIGHT, CameraTrack, flying_aircraft
+from testbed.views.sample_columns import ViewBatch
 from testbed.views.scene import MAX_SINGLE, Scene
 
 # entities in the frame of the formation
@@ -43,7 +43,6 @@ class Links:
     """
 
     def __init__(self, scene: Scene) -> None:
-        """Start without losses and used links."""
         shape = (len(scene.followers), len(scene.names))
         self._rows = np.array(scene.followers, dtype=np.intp)
         self._missing = np.zeros(shape)  # sent and not delivered

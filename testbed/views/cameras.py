@@ -17,7 +17,7 @@ from scipy.signal import lfilter
 
 from testbed.core.frames import course, quaternion_xyzw
 from testbed.core.records import Array, BoolArray
-from testbed.views.batch import ViewBatch
+from testbed.views.sample_columns import ViewBatch
 from testbed.views.scene import Scene
 
 HALF_HEIGHT = math.tan(math.radians(55.0) / 2.0)  # of a picture at distance 1, as in Rerun's eye

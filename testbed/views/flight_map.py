@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from testbed.core.records import Array
 from testbed.views.annotations import LOST, Canvas
-from testbed.views.batch import ViewBatch
 from testbed.views.cameras import CameraTrack, Lens, flying_aircraft
 from testbed.views.landscape import LINE, landscape_colours
 from testbed.views.layout import OVERVIEW_TRAIL_S, overview_camera
 from testbed.views.pillow_backend import FINER, Drawing
+from testbed.views.sample_columns import ViewBatch
 from testbed.views.scene import PATH_COLOUR, TEXT_COLOUR, Scene, ground, mix
 from testbed.views.video_view import NEAR, VideoView
 

@@ -23,10 +23,10 @@ from testbed.logs.recorder import Addition, McapRecorder
 from testbed.views import layout
 from testbed.views.airframes import draw_fleet, whole
 from testbed.views.annotations import BROAD, LOST, THIN, Links
-from testbed.views.batch import ViewBatch, batch_of
 from testbed.views.cameras import hold_finite, leader_track, rotate_to_heading
 from testbed.views.meshes import Mesh
 from testbed.views.panels import Colour
+from testbed.views.sample_columns import ViewBatch, batch_of
 from testbed.views.scene import (
     BACKDROP,
     PATH_COLOUR,

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from testbed.views.annotations import round_down
-from testbed.views.batch import ViewBatch
 from testbed.views.cameras import ABOVE, BEHIND, MIN_SPANS, Lens
 from testbed.views.panels import Colour
+from testbed.views.sample_columns import ViewBatch
 from testbed.views.scene import SKY, SOIL, Scene, ground
 
 CHASE_TRAIL_S = 4.0

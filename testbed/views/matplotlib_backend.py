@@ -349,7 +349,6 @@ def _halo(scale: float) -> list[Any]:
 
 
 def _field_legend(field: FieldMap, scale: float) -> dict[str, Any]:
-    """Return the handles of a legend by label."""
     out: dict[str, Any] = {}
     if field.contour is not None:
         out[field.contour_label] = Line2D(

@@ -250,7 +250,6 @@ def _boxes(content: bytearray, start: int, end: int) -> list[tuple[bytes, int, i
 
 
 def _read_duration(content: bytearray, header: int) -> int:
-    """Read the duration of an mdhd box."""
     if content[header] == 1:
         return int(struct.unpack_from(">Q", content, header + 24)[0])
     return int(struct.unpack_from(">I", content, header + 16)[0])

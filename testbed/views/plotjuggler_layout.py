@@ -71,7 +71,6 @@ def _add_tab(main: xml.Element, title: str, plots: Plots, flight: FlightData) ->
 
 
 def _range(curves: Sequence[Curve], flight: FlightData) -> dict[str, str]:
-    """Compute the ranges that show all curves."""
     low, high = np.inf, -np.inf
     for curve in curves:
         name, _, topic = curve.topic.removeprefix("/").rpartition("/")  # a name may have a /

@@ -10,9 +10,9 @@ import numpy as np
 from testbed.core.records import Array
 from testbed.formation.barrier import logged_curve
 from testbed.views.annotations import STALE_S
-from testbed.views.batch import ViewBatch
 from testbed.views.panels import Colour, unique_values
 from testbed.views.quantities import PLOTTED
+from testbed.views.sample_columns import ViewBatch
 from testbed.views.scene import BACKDROP, MAX_SINGLE, Scene, mix
 
 LIMIT: Colour = (150, 150, 150)

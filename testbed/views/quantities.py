@@ -16,8 +16,8 @@ import numpy as np
 from testbed.core.frames import course, flight_path_angle, wrap_pi
 from testbed.core.records import Array
 from testbed.logs.messages import QUANTITIES
-from testbed.views.batch import ViewBatch
 from testbed.views.panels import break_at_wrap
+from testbed.views.sample_columns import ViewBatch
 
 if TYPE_CHECKING:  # the process that feeds a viewer needs no reader of logs
     from testbed.logs.read import RunLog

@@ -16,8 +16,8 @@ from testbed.core.errors import InputError
 from testbed.core.files import write_file
 from testbed.core.records import Event
 from testbed.logs.read import RunLog
-from testbed.views.batch import ViewBatch, batch_of, overlay, split
 from testbed.views.layout import PLOT_AHEAD_S, PLOT_WINDOW_S, fit_formation
+from testbed.views.sample_columns import ViewBatch, batch_of, overlay, split
 from testbed.views.scene import Scene, overlay_scenes, scene_of
 from testbed.views.view import ViewSink, ViewTarget
 from testbed.views.viewer import headless_viewer

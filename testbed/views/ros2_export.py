@@ -27,10 +27,10 @@ from testbed.logs.read import RunLog
 from testbed.logs.recorder import FixCovariance
 from testbed.views.airframes import draw_airframe, whole
 from testbed.views.annotations import Links
-from testbed.views.batch import batch_of
 from testbed.views.cameras import hold_finite, leader_track
 from testbed.views.meshes import Mesh
 from testbed.views.panels import Colour
+from testbed.views.sample_columns import batch_of
 from testbed.views.scene import BACKDROP, mix, paint_colours, scene_of, secondary_colour
 
 MAP, FORMATION = "map", "formation"

@@ -24,7 +24,6 @@ from testbed.views.annotations import (
     scale_bar,
     text_boxes,
 )
-from testbed.views.batch import ViewBatch
 from testbed.views.cameras import (
     ABOVE,
     BEHIND,
@@ -37,6 +36,7 @@ from testbed.views.landscape import landscape_palette
 from testbed.views.meshes import LIGHT, join
 from testbed.views.panels import Colour
 from testbed.views.pillow_backend import Drawing, text_width
+from testbed.views.sample_columns import ViewBatch
 from testbed.views.scene import (
     BACKDROP,
     GRID_COLOUR,

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from testbed.core.errors import describe_error, memory_shortage
 from testbed.core.files import check_writable, write_file
 from testbed.core.records import Event, RunInfo, Sample
-from testbed.views.batch import Collector, ViewBatch
+from testbed.views.sample_columns import Collector, ViewBatch
 from testbed.views.scene import Scene, scene_of
 from testbed.views.viewer import HOST, PORT, unavailable_reason
 

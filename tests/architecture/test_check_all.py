@@ -11,6 +11,7 @@ import check_all  # noqa: E402
 
 # not of a sample: written, set by a test for its own processes, or looked at by a person
 OTHERS = {"TESTBED_SNAPSHOTS", "TESTBED_PICTURES", "TESTBED_SOCKET", "TESTBED_TEST_MARK"}
+OTHERS |= {"TESTBED_SHARD"}  # which files of tests run
 
 
 def sizes():

@@ -1,6 +1,7 @@
 """Which module may import what: layers without cycles, one module for each heavy library."""
 
 import ast
+import functools
 import json
 import os
 import re
@@ -8,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import package_groups as packages
 import pytest
 
 import testbed
@@ -22,10 +24,15 @@ FILES = {
 }
 
 
+@functools.cache
+def nodes(path):
+    return list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+
+
 def imports(path):
     """Names that a file imports: while it is loaded, in functions, and for types alone."""
     found = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in nodes(path):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
@@ -49,10 +56,6 @@ def importers(*packages):
     }
 
 
-def package_of(name):
-    return ".".join(name.split(".")[:2])
-
-
 def test_modules_import_without_cycles():
     """Inside packages too, whenever the import is made; `testbed` itself is imported by none."""
     modules = FILES.keys() - {"testbed"}
@@ -63,50 +66,74 @@ def test_modules_import_without_cycles():
     assert not [name for name, found in IMPORTS.items() if "testbed" in found]
 
 
-# What each package may know of the others; every one may know `core` and itself.
-MODELS = ("atmosphere", "formation", "guidance")
-PARTS = ("mavlink", "autopilot", "vehicle", "scenario", "network", "sensors")  # of a flight
-LAYERS = {
-    "core": set(),
-    **{name: set() for name in MODELS},
-    "mavlink": {"guidance"},
-    "autopilot": {"mavlink"},
-    "vehicle": {"autopilot"},
-    "scenario": set(),
-    "network": {"scenario"},
-    "sensors": {"scenario"},
-    "metrics": {"formation"},
-    "logs": {"scenario", "formation", "metrics"},
-    "views": {"formation", "logs"},
-    "reports": {"formation", "logs", "metrics", "scenario", "views"},
-    "flight": {*MODELS, *PARTS, "metrics"},
-    "commands": {"guidance", "mavlink", "autopilot", "vehicle", "scenario", "flight"},
-    "plan": {*MODELS, *PARTS, "flight", "commands"},
-    "trials": {*MODELS, *PARTS, "flight", "plan"},
-    "runs": {"mavlink", "vehicle", "scenario", "metrics", "logs", "flight", "commands", "plan"},
-    "recordings": {"formation", "guidance", "mavlink", "scenario", "metrics", "logs", "plan"},
-    "studies": {"autopilot", "mavlink", "logs", "metrics", "scenario", "plan", "runs", "trials"},
-    "rl": {"scenario", "flight", "commands", "runs"},
-    "cli": None,  # the command line uses all of them, and nothing uses it
-}
+def forbidden(imports):
+    """Return the imports between packages that the table of packages does not allow."""
+    found = []
+    for module, names in imports.items():
+        package = module.split(".")[1] if "." in module else ""
+        if package in packages.PACKAGES:
+            others = {each.split(".")[1] for each in names if each in FILES and "." in each}
+            found += [(module, other) for other in others - packages.allowed(package) - {"run"}]
+    return sorted(found)
 
 
-@pytest.mark.parametrize("name", LAYERS)
-def test_a_package_knows_only_its_layer(name):
-    allowed = LAYERS[name]
-    modules = {each: found for each, found in IMPORTS.items() if within(each, [f"testbed.{name}"])}
-    assert modules
-    if allowed is None:
-        return
-    known = {f"testbed.{each}" for each in (*allowed, "core", name)}
-    for each, found in modules.items():
-        ours = {package_of(other) for other in found if other in FILES} - {"testbed", "testbed.run"}
-        assert ours <= known, each
+def test_packages_import_what_the_table_allows():
+    assert forbidden(IMPORTS) == []
+    upwards = IMPORTS | {"testbed.core.frames": {"testbed.flight.loop"}}  # control
+    assert forbidden(upwards) == [("testbed.core.frames", "flight")]
 
 
-def test_every_package_has_a_layer():
-    packages = {path.parent.name for path in PACKAGE.glob("*/__init__.py")}
-    assert packages == set(LAYERS)
+def test_groups_import_downwards():
+    """In the order of the table; packages of a group know each other without a circle."""
+    for number, group in enumerate(packages.GROUPS):
+        below = {each.name for each in packages.GROUPS[:number]}
+        assert set(group.imports.split()) <= below, group.name
+        known = {each.name for each in packages.GROUPS if each.name in group.imports.split()}
+        for name, words in group.packages.items():
+            others = set(words.split()) - set(group.packages) - {"all"}
+            assert {packages.PACKAGES[each].name for each in others} <= known, name
+
+
+def test_table_allows_no_more_than_is_imported():
+    """Nothing is allowed that no module uses; the command line may use everything."""
+    for name in packages.PACKAGES.keys() - {"cli"}:
+        inside = [found for module, found in IMPORTS.items() if within(module, [f"testbed.{name}"])]
+        used = {
+            each.split(".")[1]
+            for found in inside
+            for each in found
+            if each in FILES and "." in each
+        }
+        assert packages.allowed(name) - used <= {"core", name}, name
+
+
+def test_every_package_has_a_group():
+    assert {path.parent.name for path in PACKAGE.glob("*/__init__.py")} == set(packages.PACKAGES)
+    sizes = {
+        name: len([path for path in (PACKAGE / name).glob("*.py") if path.name != "__init__.py"])
+        for name in packages.PACKAGES.keys() - {"cli", "views", "core"}
+    }
+    assert max(sizes.values()) <= 26, sizes
+
+
+def test_a_name_of_a_module_tells_which_it_is():
+    """One outside the command line, and what a key is, is planned as and does in flight."""
+    pattern = {"cli", "scenario", "plan", "flight", "law"}
+    places = {}
+    for module in FILES:
+        *folders, name = module.split(".")
+        places.setdefault(name, set()).add(folders[1] if folders[1:] else "")
+    places = {name: found - pattern - {""} for name, found in places.items() if name[0] != "_"}
+    assert {name: found for name, found in places.items() if len(found) > 1} == {}
+
+
+def test_page_and_picture_are_made_of_the_table():
+    text = packages.PAGE.read_text("utf-8")
+    if "TESTBED_SNAPSHOTS" in os.environ:
+        packages.PAGE.write_text(packages.page(text), "utf-8")
+        packages.PICTURE.write_text(packages.picture(), "utf-8")
+    assert packages.PAGE.read_text("utf-8") == packages.page(text)
+    assert packages.PICTURE.read_text("utf-8") == packages.picture()
 
 
 def test_only_main_imports_the_command_line():
@@ -124,11 +151,11 @@ ONE_MODULE = {
     ("foxglove",): "logs.foxglove_messages",
     ("rosbags",): "logs.ros2_bag",
     ("pyarrow",): "logs.arrow_io",
-    ("cma",): "studies.tune_search",
+    ("cma",): "tuning.tune_search",
     ("gymnasium",): "rl",
     ("pettingzoo",): "rl",
-    ("joblib",): "studies.local_workers",
-    ("dask", "distributed"): "studies.dask_workers",
+    ("joblib",): "pool.local_workers",
+    ("dask", "distributed"): "pool.dask_workers",
 }
 
 
@@ -146,7 +173,7 @@ def test_only_mit_tables_of_pymavlink_are_imported():
 
 
 def test_sockets_are_opened_in_few_places():
-    places = ["testbed.mavlink.udp_endpoint", "testbed.autopilot", "testbed.views"]
+    places = ["testbed.mavlink.udp_endpoint", "testbed.ardupilot", "testbed.views"]
     for name in importers("socket", "socketserver", "asyncio", "http"):
         assert within(name, places), name
 
@@ -162,8 +189,8 @@ OPENING = {
     "logs.mcap_file": "a new file of its own",
     "mavlink.tlog": "a new file in a new run directory",
     "studies.journal": "checks that it is a regular file; opened to write, a pipe does not block",
-    "autopilot.sitl_process": "files in a temporary folder of its own",
-    "vehicle.forked_trial": "a pipe to its own child, and the null device",
+    "ardupilot.sitl_process": "files in a temporary folder of its own",
+    "airframes.forked_trial": "a pipe to its own child, and the null device",
     "views.feeder_process": "the null device",
     "views.viewer": "a table of the kernel",
     "plan.resources": "tables of the kernel",
@@ -176,7 +203,7 @@ def test_files_are_opened_in_few_places():
     """Also `Path.open`, which is known by its mode; a mode is never computed."""
     found = set()
     for name, path in FILES.items():
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in nodes(path):
             if isinstance(node, ast.Call) and opens_file(node):
                 found.add(name.removeprefix("testbed."))
     assert found == OPENING.keys()
@@ -265,7 +292,7 @@ def test_the_lock_names_no_index():
 RUNS_CODE = {
     "subprocess": {
         "core.child_guard",  # the command that its starter gives it
-        "autopilot.sitl_process",  # ArduPlane: of the option or the environment
+        "ardupilot.sitl_process",  # ArduPlane: of the option or the environment
         "views.view",  # this Python, for the views' process
         "views.viewer",  # rerun, beside this Python
     },
@@ -303,8 +330,8 @@ def test_code_is_run_in_known_places_only():
         }
         assert used == known, package
     found = {n for n, path in FILES.items() if CALLS.search(path.read_text(encoding="utf-8"))}
-    # sources that `vehicle.compiled` has written: numbers, and names of its own making
+    # sources that `compiled` has written: numbers, and names of its own making
     assert found == {"testbed.core.compile"}
     assert {n for n, each in IMPORTS.items() if "testbed.core.compile.entry_of_source" in each} == {
-        "testbed.vehicle.compiled.aircraft"
+        "testbed.compiled.compiled_aircraft"
     }

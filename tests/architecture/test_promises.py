@@ -1,6 +1,5 @@
 """Every promise of docs/contributing/promises.md names an existing test."""
 
-import ast
 import re
 from pathlib import Path
 
@@ -20,6 +19,5 @@ def test_every_promise_names_an_existing_test():
         found = PROMISE.match(line)
         assert found, line
         file, name = found.groups()
-        tree = ast.parse((ROOT / file).read_text(encoding="utf-8"))
-        names = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
-        assert name in names, f"{file} has no {name}"
+        text = (ROOT / file).read_text(encoding="utf-8")
+        assert re.search(rf"^def {name}\(", text, re.M), f"{file} has no {name}"

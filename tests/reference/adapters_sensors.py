@@ -12,7 +12,7 @@ from testbed.core.records import (
 )
 from testbed.sensors import ekf
 from testbed.sensors.airspeed import AIRSPEED_SENSOR, measure_airspeed, write_airspeeds
-from testbed.sensors.errors import ERRORS
+from testbed.sensors.sensor_errors import ERRORS
 
 
 def aircraft_of(truth, faults=None):

@@ -75,7 +75,6 @@ def _words(metric: str) -> Sequence[str]:
 
 
 def _escaped(text: str) -> str:
-    """Return a text as LaTeX prints it."""
     return "".join(_SPECIAL.get(letter, letter) for letter in _one_line(text))
 
 

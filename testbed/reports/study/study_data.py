@@ -86,7 +86,6 @@ DRAWN_AT_ONCE = 1_000_000  # values in memory
 SEED = 1  # of all draws: the same file gives the same report
 
 Statistic = Callable[..., Array]
-Resample = Callable[[NDArray[np.int64]], Array]
 STATISTICS: dict[str, Statistic] = {"median": np.median, "mean": np.mean}
 
 

@@ -15,9 +15,9 @@ import rerun as rr
 
 from testbed.core.records import Array
 from testbed.views.annotations import Canvas, name_aircraft, scale_bar
-from testbed.views.batch import ViewBatch
 from testbed.views.cameras import CameraTrack
 from testbed.views.layout import UNITS
+from testbed.views.sample_columns import ViewBatch
 from testbed.views.scene import TEXT_COLOUR, Scene
 
 Columns = Iterator[tuple[str, rr.ComponentColumnList]]  # entity below the camera's, and its columns

@@ -31,7 +31,6 @@ from testbed.core.records import Array, Event
 from testbed.views import layout, plots
 from testbed.views.airframes import AirframeDrawing, draw_fleet
 from testbed.views.annotations import LOST, Links
-from testbed.views.batch import ViewBatch, concat
 from testbed.views.cameras import (
     ABOVE,
     BEHIND,
@@ -47,6 +46,7 @@ from testbed.views.rerun_backend.overlays import (
     overlay,
 )
 from testbed.views.rerun_backend.static_entities import static_entities
+from testbed.views.sample_columns import ViewBatch, concat
 from testbed.views.scene import Scene
 
 LEVELS = {"info": "INFO", "warning": "WARN", "error": "ERROR"}

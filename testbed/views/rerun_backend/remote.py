@@ -15,7 +15,6 @@ class RemoteViewer:
     """One recording in the viewer on a port of this machine."""
 
     def __init__(self, port: int, recording_id: str) -> None:
-        """Connect to the viewer."""
         self._client = ViewerClient.connect(address(port))
         self._id = recording_id
 

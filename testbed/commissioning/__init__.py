@@ -1,0 +1,1 @@
+"""An aircraft from elsewhere: import, first gains, flight tests, variants, fits to recordings."""

@@ -1,0 +1,1 @@
+"""Golden tables: numbers of flights that must not change, and comparisons of runs."""

@@ -1,0 +1,1 @@
+"""Linear models of aircraft and formations: modes, margins, frequency responses, string gains."""

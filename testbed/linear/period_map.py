@@ -1,0 +1,376 @@
+"""The map of one control period of each follower in steady flight, linearised.
+
+One control period is flown again and again, each time with one number of the followers' state, one
+message, one command or the wind changed a little, and central differences are taken. Messages are
+inputs, so that the graph and its delays are joined to the maps afterwards (`linear_formation`).
+While one follower changes, the others' messages to it are held, so all can change at once.
+
+Vectors are resolved in the leader's horizontal frame: forward, right, down. In it the maps of
+periods that the flight repeats are equal, straight or turning.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from testbed.core.records import Array, BoolArray
+from testbed.linear.follower_state import CONTROL_MEMORY, FollowerStates
+from testbed.linear.held_flight import COMMANDS, LEADER_MESSAGE, MESSAGE, HeldFlight
+
+_OUTPUTS = 3 * len(MESSAGE) + 3 + 2  # message, slot error, roll and pitch
+# m, m/s, m/s²: with large gains more would move throttles past TRIM_THROTTLE, where ArduPlane
+# pitches down
+_MESSAGE_STEP = 0.001
+_ANGLE_STEP = 1e-4  # rad, rad/s
+_COMMAND_STEP = 1e-5  # rad, or throttle
+_WIND_STEP = 1e-3  # m/s
+
+
+class FollowerMap(NamedTuple):
+    """The linearised control period of one follower, for P periods after which the flight repeats.
+
+    Of a state deviation x (S,), messages m (M,) of an aircraft that are used at the control step,
+    additions v (3,) to the commands and a uniform wind w (3,):
+
+        x⁺ = a x + Σ b_message[j] m_j + Σ b_command[q] v_q + b_wind w
+        commands before the addition = c_command x + Σ d_message[j] m_j
+
+    Attributes:
+        name: of the follower.
+        labels: (S,) of the state.
+        a: (P, S, S).
+        c_command: (P, 3, S).
+        c_output: (P, 14, S) its own message (position, m, velocity, m/s, acceleration, m/s²), its
+            slot error, m, with the leader's slot held, and roll and pitch, rad.
+        b_command: (P, S, 3) of pitch, roll, rad, and throttle, added during the whole period.
+        b_wind: (P, S, 3).
+        b_message: by the row of the sender, (P, S, M): M is 9, of the leader 15.
+        d_message: the same, (P, 3, M).
+    """
+
+    name: str
+    labels: tuple[str, ...]
+    a: Array
+    c_command: Array
+    c_output: Array
+    b_command: Array
+    b_wind: Array
+    b_message: dict[int, Array]
+    d_message: dict[int, Array]
+
+
+@dataclass(frozen=True, slots=True)
+class PeriodMaps:
+    """The linearised control period of a formation in steady flight.
+
+    Attributes:
+        dt: s, control period.
+        speed: m/s, of the leader over the ground.
+        followers: n.
+        bank: (n,) rad, of the followers.
+        error: (n, 3) m, their steady slot errors, forward, right, down.
+        age_s: (n, N) s, ages of the messages used; NaN: not used.
+        turn: rad, of the leader's course in a period.
+        from_timestamp: (n,) whether messages are extrapolated from their stamp.
+        with_acceleration: (n,) whether along a parabola.
+    """
+
+    dt: float
+    speed: float
+    followers: tuple[FollowerMap, ...]
+    bank: Array
+    error: Array
+    age_s: Array
+    turn: float
+    from_timestamp: BoolArray
+    with_acceleration: BoolArray
+
+
+def linearise_periods(flight: HeldFlight, periods: int) -> PeriodMaps:
+    """Linearise the next control periods of a steady flight, and fly them.
+
+    Args:
+        flight: whose time is that of a control step.
+        periods: after which the flight repeats, but for its position and course.
+    """
+    states = FollowerStates(flight)
+    before, _ = states.frames()
+    parts = [_Period(flight, states).linearise() for _ in range(periods)]
+    from_ned, _ = states.frames()
+    flight.write_errors()
+    turned = from_ned @ before.T
+    law = flight.world.formation.built_control.controllers["law"]
+    return PeriodMaps(
+        flight.dt,
+        float(np.linalg.norm(flight.world.aircraft["truth"]["velocity_ned"][0])),
+        tuple(_stacked(each) for each in zip(*parts, strict=True)),
+        np.array(flight.world.aircraft["truth"]["euler"][1:, 0]),
+        flight.world.followers["error_ned"] @ from_ned.T,
+        np.array(flight.world.links["age_s"]),
+        math.atan2(turned[0, 1], turned[0, 0]) / periods,
+        np.array(law["from_timestamp"]),
+        np.array(law["with_acceleration"]),
+    )
+
+
+def linearise_control(flight: HeldFlight, maps: PeriodMaps) -> PeriodMaps:
+    """Return the maps of a steady flight with the gains that its control has now.
+
+    Aircraft and autopilots stay as they were linearised: law and middle loop alone are stepped.
+
+    Args:
+        flight: that has been linearised.
+        maps: of it, with other gains and the same steady commands.
+    """
+    present = flight.save()
+    period = _Period(flight, FollowerStates(flight), control_alone=True)
+    parts = period.linearise_control()
+    present.restore()
+    followers = tuple(
+        _with_control(old, new) for old, new in zip(maps.followers, parts, strict=True)
+    )
+    return replace(maps, followers=followers)
+
+
+def _with_control(follower: FollowerMap, control: _ControlMap) -> FollowerMap:
+    """Return a follower's maps with other derivatives of its control.
+
+    Where the state is the control's own memory they are the new ones. The rest of the state follows
+    the commands.
+    """
+    own = np.array([label.startswith(CONTROL_MEMORY) for label in follower.labels])[:, np.newaxis]
+
+    def replaced(old: Array, memory: Array, command: Array) -> Array:
+        changed: Array = np.where(own, memory, old + follower.b_command @ command)
+        return changed
+
+    a = replaced(follower.a, control.a, control.c_command - follower.c_command)
+    b_message = {
+        j: replaced(old, control.b_message[j], control.d_message[j] - follower.d_message[j])
+        for j, old in follower.b_message.items()
+    }
+    shape = np.ones((len(follower.a), 1, 1))
+    return follower._replace(
+        a=a,
+        c_command=shape * control.c_command,
+        b_message=b_message,
+        d_message={j: shape * each for j, each in control.d_message.items()},
+    )
+
+
+def _stacked(maps: Sequence[FollowerMap]) -> FollowerMap:
+    """Stack the maps of one follower in several periods."""
+    fields: list[Any] = []
+    for each in zip(*maps, strict=True):
+        if isinstance(each[0], dict):
+            fields.append({j: np.stack([one[j] for one in each]) for j in each[0]})
+        else:
+            fields.append(np.stack(each) if isinstance(each[0], np.ndarray) else each[0])
+    return FollowerMap(*fields)
+
+
+class _Derivative(NamedTuple):
+    """Derivatives by one number: of the state (S,), the outputs (14,) and the commands (3,)."""
+
+    state: Array
+    output: Array
+    command: Array
+
+
+class _ControlMap(NamedTuple):
+    """Derivatives of one follower's control in a period, as those of FollowerMap.
+
+    Rows of `a` and `b_message` that are not the control's own memory have no meaning.
+    """
+
+    a: Array
+    c_command: Array
+    b_message: dict[int, Array]
+    d_message: dict[int, Array]
+
+
+class _Period:
+    """One control period that is flown with changes."""
+
+    def __init__(
+        self, flight: HeldFlight, states: FollowerStates, *, control_alone: bool = False
+    ) -> None:
+        """Fly the period without changes, and keep its beginning and its end.
+
+        Args:
+            flight: whose time is that of a control step.
+            states: of its followers.
+            control_alone: with changes, step the control alone.
+        """
+        self._control_alone = control_alone
+        self._flight, self._states = flight, states
+        self._n = len(states.labels)
+        self._begin, self._until = flight.save(), flight.time_s + flight.dt
+        self._bases = [states.basis(i) for i in range(self._n)]
+        self._from_ned, _ = states.frames()
+        flight.inputs.end()
+        flight.fly_to(self._until)
+        # one control step: the links at the end are those that it has used
+        flight.inputs.held = flight.world.links.copy()
+        self._ends = [states.basis(i) for i in range(self._n)]
+        self._end = flight.save()
+
+    def linearise(self) -> list[FollowerMap]:
+        """Return the maps of the followers, without an axis of periods, and end the period."""
+        states, inputs = self._states, self._flight.inputs
+        sizes = [len(each) for each in states.labels]
+        by_state = [self._by_state(k) for k in range(max(sizes))]
+        by_command = [self._by_command(k) for k in range(len(COMMANDS))]
+        by_wind = [self._by_wind(k) for k in range(3)]
+        by_message = self._by_messages()
+        self._end.restore()
+        inputs.end()
+        maps = []
+        for i, size in enumerate(sizes):
+            own = [each[i] for each in by_state[:size]]
+            maps.append(
+                FollowerMap(
+                    self._flight.world.names[i + 1],
+                    states.labels[i],
+                    _columns(each.state for each in own),
+                    _columns(each.command for each in own),
+                    _columns(each.output for each in own),
+                    _columns(each[i].state for each in by_command),
+                    _columns(each[i].state for each in by_wind),
+                    *self._message_columns(by_message, i),
+                )
+            )
+        return maps
+
+    def linearise_control(self) -> list[_ControlMap]:
+        """Return the derivatives of the followers' control."""
+        sizes = [len(each) for each in self._states.labels]
+        by_state = [self._by_state(k) for k in range(max(sizes))]
+        by_message = self._by_messages()
+        return [
+            _ControlMap(
+                _columns(each[i].state for each in by_state[:size]),
+                _columns(each[i].command for each in by_state[:size]),
+                *self._message_columns(by_message, i),
+            )
+            for i, size in enumerate(sizes)
+        ]
+
+    def _by_messages(self) -> dict[int, list[list[_Derivative]]]:
+        """Return the derivatives by each number of each message, by the row of its sender."""
+        used = self._neighbours.any(axis=0)
+        return {
+            j: [self._by_message(j, k) for k in range(3 * len(MESSAGE if j else LEADER_MESSAGE))]
+            for j in np.flatnonzero(used).tolist()
+        }
+
+    def _message_columns(
+        self, by_message: dict[int, list[list[_Derivative]]], i: int
+    ) -> tuple[dict[int, Array], dict[int, Array]]:
+        """Return `b_message` and `d_message` of a follower."""
+        used = [j for j in by_message if self._neighbours[i, j]]
+        return (
+            {j: _columns(each[i].state for each in by_message[j]) for j in used},
+            {j: _columns(each[i].command for each in by_message[j]) for j in used},
+        )
+
+    @property
+    def _neighbours(self) -> BoolArray:
+        used: BoolArray = self._flight.world.formation.built_control.neighbours["used"]
+        return used
+
+    def _by_state(self, k: int) -> list[_Derivative]:
+        """Return the derivatives of each follower by the k-th number of its state."""
+        those = [i for i in range(self._n) if k < len(self._states.labels[i])]
+        steps = np.ones(self._n)
+        for i in those:
+            steps[i] = self._states.steps[i][k]
+
+        def change(sign: float) -> None:
+            for i in those:
+                self._states.add(i, sign * steps[i] * self._bases[i][k])
+
+        return self._differ(change, steps)
+
+    def _by_command(self, k: int) -> list[_Derivative]:
+        added = self._flight.inputs.added
+
+        def change(sign: float) -> None:
+            added[:, k] = sign * _COMMAND_STEP
+
+        found = self._differ(change, np.full(self._n, _COMMAND_STEP))
+        added[:] = 0.0
+        return found
+
+    def _by_wind(self, axis: int) -> list[_Derivative]:
+        wind = self._flight.world.aircraft["wind"]["wind_ned"]
+
+        def change(sign: float) -> None:
+            wind[1:] += sign * _WIND_STEP * self._from_ned[axis]
+            self._flight.fleet.write_wind(self._flight.time_s)
+
+        return self._differ(change, np.full(self._n, _WIND_STEP))
+
+    def _by_message(self, sender: int, k: int) -> list[_Derivative]:
+        messages = self._flight.inputs.messages
+        axis, first = k % 3, k - k % 3
+        turned = first < 3 * len(MESSAGE)  # angles and their rates are not turned
+        direction = self._from_ned[axis] if turned else np.eye(3)[axis]
+        step = _MESSAGE_STEP if turned else _ANGLE_STEP
+
+        def change(sign: float) -> None:
+            messages[:] = 0.0
+            messages[:, sender, first : first + 3] = sign * step * direction
+
+        found = self._differ(change, np.full(self._n, step))
+        messages[:] = 0.0
+        return found
+
+    def _differ(self, change: Callable[[float], None], steps: Array) -> list[_Derivative]:
+        """Return the central differences of each follower.
+
+        Args:
+            change: makes the change, with a sign.
+            steps: (n,) of each follower's number.
+        """
+        later, sooner = self._fly(change, 1.0), self._fly(change, -1.0)
+        return [
+            _Derivative(*((a - b) * (0.5 / step) for a, b in zip(one, other, strict=True)))
+            for one, other, step in zip(later, sooner, steps.tolist(), strict=True)
+        ]
+
+    def _fly(self, change: Callable[[float], None], sign: float) -> list[_Derivative]:
+        """Fly the period with a change: states at its end, outputs at its begin, commands."""
+        flight = self._flight
+        self._begin.restore()
+        change(sign)
+        flight.write_motion()
+        flight.write_errors()
+        outputs = [self._outputs(i) for i in range(self._n)]
+        if self._control_alone:
+            flight.step_control()
+        else:
+            flight.fly_to(self._until)
+        return [
+            _Derivative(
+                self._ends[i] @ self._states.read(i), outputs[i], flight.inputs.computed[i].copy()
+            )
+            for i in range(self._n)
+        ]
+
+    def _outputs(self, i: int) -> Array:
+        """Return message, error, roll and pitch of a follower."""
+        world, from_ned = self._flight.world, self._from_ned
+        own = world.aircraft["estimate"][i + 1]
+        message = [from_ned @ own[name] for name in MESSAGE]
+        error = from_ned @ world.followers["error_ned"][i]
+        return np.concatenate((*message, error, own["euler"][:2]))
+
+
+def _columns(vectors: Any) -> Array:  # noqa: ANN401 - an iterator of arrays
+    return np.stack(list(vectors), axis=-1)

@@ -1,0 +1,1 @@
+"""Flights in other processes, of this computer or of a Dask cluster."""

@@ -1,0 +1,1 @@
+"""What the air and the network do alone: `testbed air`, `testbed network`."""

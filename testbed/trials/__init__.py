@@ -1,1 +1,0 @@
-"""Measurements with parts of a flight: probes, steps, margins."""

@@ -1,0 +1,117 @@
+"""Files of tests that are left out because nothing changed: what counts as a change."""
+
+import json
+from types import SimpleNamespace
+
+import pytest
+import stamps
+from places import ROOT, TESTS
+from selection import Selection
+
+GUSTS = TESTS / "atmosphere" / "equations" / "test_atmosphere_gusts.py"
+COMMANDS = TESTS / "linear" / "contract" / "test_delay.py"  # starts commands
+
+
+@pytest.fixture
+def changed(monkeypatch):
+    """Have the digest of one file be another."""
+    before = stamps.digest_of
+
+    def change(path):
+        other = lambda each: "another" if each == path else before(each)  # noqa: E731
+        monkeypatch.setattr(stamps, "digest_of", other)
+        stamps.digest_below.cache_clear()
+
+    yield change
+    stamps.digest_below.cache_clear()
+
+
+def test_imports_of_imports_are_followed():
+    found = {str(path.relative_to(ROOT)) for path in stamps.closure(GUSTS)}
+    assert {"testbed/atmosphere/gusts.py", "testbed/core/compile.py"} <= found
+    assert not any(name.startswith(("testbed/flight/", "testbed/views/")) for name in found)
+
+
+@pytest.mark.parametrize(
+    ("file", "counts"),
+    [
+        ("tests/atmosphere/equations/test_atmosphere_gusts.py", True),
+        ("testbed/atmosphere/gusts.py", True),
+        ("testbed/core/errors.py", True),
+        ("scenarios/simulation-3.yaml", True),
+        ("aircraft/rascal110/rascal110.xml", True),
+        ("requirements.lock", True),
+        ("testbed/views/view.py", False),
+        ("docs/air.md", False),
+    ],
+)
+def test_change_of_a_file_that_decides_counts(file, counts, changed):
+    assert (ROOT / file).is_file()
+    before = stamps.stamp(GUSTS)
+    assert stamps.stamp(GUSTS) == before
+    changed(ROOT / file)
+    assert (stamps.stamp(GUSTS) != before) is counts
+
+
+def test_commands_depend_on_every_file(changed):
+    before = stamps.stamp(COMMANDS)
+    changed(ROOT / "docs" / "air.md")
+    assert stamps.stamp(COMMANDS) != before
+
+
+def test_size_of_a_sample_counts(monkeypatch):
+    before = stamps.stamp(GUSTS)
+    monkeypatch.setenv("TESTBED_AIR_SAMPLES", "61")
+    assert stamps.stamp(GUSTS) != before
+
+
+@pytest.mark.parametrize("name", ["CI", "ALL", "TESTBED_SHARD"])
+def test_nothing_is_left_out_in_ci(name, monkeypatch):
+    for each in ("CI", "ALL", "TESTBED_SHARD"):
+        monkeypatch.delenv(each, raising=False)
+    assert stamps.wanted()
+    monkeypatch.setenv(name, "1")
+    assert not stamps.wanted()
+
+
+def selection(*args, keyword=""):
+    option = SimpleNamespace(keyword=keyword, markexpr="")
+    return Selection(SimpleNamespace(rootpath=ROOT, option=option, args=args))
+
+
+def run(chosen, *results):
+    """Have a selection see results of tests: a node, and how it ended."""
+    for node, outcome in results:
+        chosen.pytest_runtest_logreport(SimpleNamespace(nodeid=node, outcome=outcome))
+    chosen.pytest_sessionfinish(SimpleNamespace(), pytest.ExitCode.OK)
+
+
+def test_only_whole_files_that_pass_are_left_out(tmp_path, monkeypatch):
+    monkeypatch.setattr(stamps, "FILE", tmp_path / "stamps.json")
+    for each in ("CI", "ALL", "TESTBED_SHARD"):
+        monkeypatch.delenv(each, raising=False)
+    gusts, others = str(GUSTS.relative_to(ROOT)), str(COMMANDS.relative_to(ROOT))
+    chosen = selection()
+    chosen.expect([f"{gusts}::a", f"{gusts}::b", f"{others}::a"])
+    run(chosen, (f"{gusts}::a", "passed"), (f"{others}::a", "failed"))
+    assert stamps.unchanged() == {}  # one was not run, the other failed
+    run(chosen, (f"{gusts}::b", "skipped"))
+    assert stamps.unchanged() == {str(GUSTS): 2}
+    run(chosen, (f"{gusts}::b", "failed"))  # at its teardown
+    assert stamps.unchanged() == {}
+    (tmp_path / "stamps.json").write_text(json.dumps([1]))
+    assert stamps.unchanged() == {}
+    assert not selection(keyword="a").stamps and not selection(f"{gusts}::a").stamps
+
+
+def test_shards_are_all_tests_once(monkeypatch):
+    files = sorted(TESTS.rglob("test_*.py"))
+    items = [SimpleNamespace(path=path, nodeid=f"{path.relative_to(ROOT)}::a") for path in files]
+    seen = []
+    for part in (1, 2, 3):
+        monkeypatch.setenv("TESTBED_SHARD", f"{part}/3")
+        chosen = list(items)
+        selection().pytest_collection_modifyitems(chosen)
+        assert chosen
+        seen += chosen
+    assert sorted(each.nodeid for each in seen) == sorted(each.nodeid for each in items)

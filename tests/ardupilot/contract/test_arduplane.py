@@ -1,0 +1,282 @@
+"""Flights with ArduPlane as the autopilot, played by a stand-in with the same packets."""
+
+import hashlib
+import io
+import os
+import select
+import signal
+import socket
+import subprocess
+from contextlib import suppress
+
+import numpy as np
+import pytest
+from arduplanes import (
+    FIRST,
+    LEVEL,
+    SCENARIO,
+    SOON,
+    ardupilot,
+    binary,
+    error_of,
+    fly,
+    fly_level,
+    make_scenario,
+    run_in_child,
+    running,
+)
+from rich.console import Console
+from waiting import TIMEOUT_S, until
+
+from testbed.ardupilot.sitl_parameters import defaults_text
+from testbed.ardupilot.sitl_process import command_line
+from testbed.core.records import NedOrigin
+from testbed.metrics.printed_tables import render_table
+from testbed.plan.world import build
+from testbed.runs.external_options import ExternalOptions
+from testbed.runs.run import run
+from testbed.scenario import find_tune, load_scenario, loads, set_duration
+from testbed.studies.sweep import sweep
+from testbed.studies.table import read_table
+
+assert binary  # a fixture
+WHOLE = os.environ.get("TESTBED_ARDUPLANE_WHOLE")
+
+
+def fingerprint(frames):
+    digest = hashlib.sha256()
+    for frame in frames:
+        for array in (frame.truth.position_ned, frame.truth.euler, *frame.surfaces):
+            digest.update(array.tobytes())
+    return digest.hexdigest()
+
+
+def test_mixed_flight_repeats_to_the_bit(binary):
+    mixed = set_duration(load_scenario("simulation-3", [f"leader.autopilot={ardupilot()}"]), 4.0)
+    first, second = fly(mixed), fly(mixed)
+    assert fingerprint(first) == fingerprint(second)
+    # its servo pulses are whole µs: 500 are full deflection
+    pulses = 500.0 * np.array([frame.surfaces.aileron for frame in first[1:]])
+    assert np.abs(pulses[:, 0] - np.rint(pulses[:, 0])).max() < 1e-9
+    assert np.abs(pulses[:, 1] - np.rint(pulses[:, 1])).max() > 0.1
+
+
+def test_metrics_and_table_show_arduplane_versions(binary, tmp_path):
+    result = run(make_scenario(1.0), out=tmp_path / "run")
+    (name,) = result.metrics["arduplane"]
+    assert result.metrics["arduplane"] == {name: "4.7.1 (stand-in)"}
+    output = io.StringIO()
+    render_table(result.metrics, Console(file=output, width=80))
+    assert f" ArduPlane           4.7.1 (stand-in): {name}" in output.getvalue()
+
+
+def test_virtual_autopilots_beside_it_are_unchanged(binary):
+    _, mixed = fly_level(make_scenario(2.0))
+    events, virtual = fly_level(set_duration(loads(SCENARIO), 2.0))
+    assert not events
+    for one, other in zip(mixed, virtual, strict=True):
+        assert one[1].tobytes() == other[1].tobytes()
+    assert mixed.euler[0].tobytes() != virtual.euler[0].tobytes()
+
+
+def test_four_arduplanes_hold_slots_like_virtual(binary):
+    """Fly all of Simulation 3 if TESTBED_ARDUPLANE_WHOLE is set, else 8 s from the slots."""
+    rate, sitl = "rates.physics_hz=200", "autopilot={kind: virtual, gyro_filter: sitl}"
+    own = [rate, f"leader.{sitl}", f"fleet.*.{sitl}"]
+    four = [rate, f"leader.autopilot={ardupilot()}"]
+    four += [f"fleet.uav{n}.autopilot={ardupilot(n)}" for n in (1, 2, 3)]
+    if WHOLE:
+        windows = load_scenario("simulation-3").scenario.windows
+        scenario, virtual = load_scenario("simulation-3", four), load_scenario("simulation-3", own)
+    else:
+        slots = load_scenario("simulation-3").formation.offsets_m.items()
+        there = [f"fleet.{name}.start_m={list(slot)}" for name, slot in slots]
+        windows = {"on the way": (2.0, 8.0)}
+        scenario, virtual = (
+            set_duration(load_scenario("simulation-3", [*there, *o]), 8.0) for o in (four, own)
+        )
+    real, ours = fly(scenario), fly(virtual)
+    for begin, end in windows.values():
+        theirs, own = rms(real, begin, end), rms(ours, begin, end)
+        # 5 % or 0.1 m, whichever is larger; rounding of pulses and throttle has less effect
+        assert np.all(np.abs(theirs - own) <= np.maximum(0.05 * own, 0.1)), (theirs, own)
+
+
+def rms(frames, begin, end):
+    errors = [f.formation.error_ned for f in frames if begin <= f.time_s <= end]
+    return np.sqrt(np.mean(np.sum(np.square(errors), axis=2), axis=0))
+
+
+def test_elevon_aircraft_flies(binary):
+    frames = fly(make_scenario(3.0, "leader.aircraft=skywalker_x8"))
+    assert abs(frames[-1].truth.euler[0, 0]) < np.radians(10)
+    assert frames[-1].truth.position_ned[0, 2] == pytest.approx(-100.0, abs=5.0)
+
+
+def test_32_outputs_and_overrides_fly_the_same(binary, monkeypatch):
+    plain = fly(make_scenario(3.0))[-1].truth
+    monkeypatch.setenv("ARDUPLANE_STAND_IN", "outputs32 ignores-rc")
+    events, _ = fly_level(make_scenario(1.0))
+    assert any("RC_CHANNELS_OVERRIDE" in event.text for event in events)
+    other = fly(make_scenario(3.0))[-1].truth
+    # overrides arrive an autopilot period or two later, at 22 m/s
+    np.testing.assert_allclose(other.position_ned, plain.position_ned, atol=0.5)
+
+
+def test_lost_answer_is_sent_again(binary, monkeypatch):
+    plain = fingerprint(fly(make_scenario(2.0)))
+    monkeypatch.setenv("ARDUPLANE_STAND_IN", f"resend@{SOON}")
+    assert fingerprint(fly(make_scenario(2.0))) == plain
+
+
+def test_faults_act_behind_the_servo_outputs(binary):
+    fault = "leader.faults=[{kind: surface-stuck, surface: aileron, position: 0.4, at_s: 1}, "
+    frames = fly(make_scenario(2.0, fault + "{kind: engine-out, at_s: 1}]"))
+    before, after = (np.array([f.time_s for f in frames]) <= 0.9, slice(-20, None))
+    ailerons = np.array([frame.surfaces.aileron[0] for frame in frames])
+    throttles = np.array([frame.surfaces.throttle[0] for frame in frames])
+    assert np.all(np.abs(ailerons[before]) < 0.3) and np.all(ailerons[after] == 0.4)
+    assert np.all(throttles[before][1:] > 0.05) and np.all(throttles[after] == 0.0)
+
+
+def test_frozen_arduplane_holds_its_servos(binary):
+    frames = fly(make_scenario(2.0, "leader.faults=[{kind: autopilot-frozen, at_s: 1}]"))
+    held = {tuple(float(each[0]) for each in f.surfaces) for f in frames if f.time_s > 1.1}
+    assert len(held) == 1
+
+
+def test_arduplane_computes_before_the_models_step(binary):
+    world = build(make_scenario(1.0))
+    (process,), (vehicles,), aircraft = world.external_processes, world.vehicles, world.aircraft
+    aircraft["command"] = LEVEL
+    try:
+        process.start(lambda: None)
+        (plane,) = process._all
+        for _ in range(2):
+            aircraft["estimate"] = aircraft["truth"]
+            vehicles.autopilot_step()
+            until(lambda: select.select([plane._udp], [], [], 0.0)[0])  # it has answered
+            vehicles.step(4, None)
+    finally:
+        process.close()
+
+
+def test_arduplane_of_lost_aircraft_is_stopped(binary):
+    world = build(make_scenario(1.0, f"fleet.uav1.autopilot={ardupilot(1)}"))
+    (process,), (vehicles,), aircraft = world.external_processes, world.vehicles, world.aircraft
+    aircraft["command"] = LEVEL
+    try:
+        process.start(lambda: None)
+        assert len(running()) == 2
+        for period in range(20):
+            aircraft["estimate"] = aircraft["truth"]
+            vehicles.autopilot_step()
+            if period == 10:
+                vehicles.remove(np.array([True, False]))
+                before = aircraft["truth"]["position_ned"].copy()
+            vehicles.step(2, None)
+        moved = np.linalg.norm(aircraft["truth"]["position_ned"] - before, axis=1)
+        # 10 periods of 20 ms at 22 m/s
+        assert moved[0] == 0.0 and moved[1] == pytest.approx(4.4, abs=0.2)
+        assert len(running()) == 1
+    finally:
+        process.close()
+
+
+def test_stopped_run_leaves_no_process_or_folder(binary, tmp_path):
+    child = run_in_child(tmp_path)
+    try:
+        until(lambda: list((tmp_path / "logs").glob("*/*/run.mcap")))
+        until(running)
+        os.killpg(child.pid, signal.SIGINT)  # to the process group, as Ctrl-C does
+        assert child.wait(timeout=TIMEOUT_S) == 130
+    finally:
+        child.kill()
+        child.wait()
+
+
+def test_killed_run_leaves_no_process_or_folder(binary, tmp_path):
+    child = run_in_child(tmp_path)
+    try:
+        until(running)
+    finally:
+        child.kill()
+        child.wait()
+    until(lambda: not running() and not list((tmp_path / "folders").iterdir()))
+
+
+STUDY = """
+study: {schema: 1, name: planes, scenario: two.yaml, duration_s: 0.5, seeds: %s}
+"""
+
+
+def test_parallel_runs_take_free_instances(binary, tmp_path):
+    """Fly 3 runs of a study on 2 jobs; 8 runs if TESTBED_ARDUPLANE_WHOLE is set."""
+    runs = 8 if WHOLE else 3
+    (tmp_path / "two.yaml").write_text(SCENARIO.replace("path:", "autopilot: ardupilot\n  path:"))
+    (tmp_path / "planes.yaml").write_text(STUDY % list(range(1, runs + 1)))
+    sweep(tmp_path / "planes.yaml", tmp_path / "planes.parquet", jobs=2)
+    outcomes = read_table(tmp_path / "planes.parquet").columns["outcome"]
+    assert outcomes.tolist() == ["completed"] * runs
+
+
+def test_announced_instance_is_a_free_one(binary, tmp_path):
+    lines = []
+    two = set_duration(loads(SCENARIO, ["leader.autopilot=ardupilot"]), 0.1)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        with suppress(OSError):  # another test has it
+            other.bind(("127.0.0.1", 9002))
+        run(two, write=False, external=ExternalOptions(announce=lines.append))
+    line, warning = lines
+    instance = int(line.split("instance ")[1].split(",")[0])
+    assert instance > 0
+    ports = f"{9002 + 10 * instance}/udp and {5760 + 10 * instance}/tcp of 127.0.0.1"
+    assert line == f"ArduPlane: leader by instance {instance}, {ports}"
+    assert warning == (
+        "warning: ArduPlane itself listens on 5501/udp and 5760, 5762, 5763/tcp, plus ten times "
+        f"{instance}, of every address of this machine: any program that reaches it can command "
+        "leader"
+    )
+
+
+def test_several_arduplanes_cause_one_warning(binary):
+    lines = []
+    both = [f"leader.autopilot={ardupilot()}", f"fleet.uav1.autopilot={ardupilot(1)}"]
+    two = set_duration(loads(SCENARIO, both), 0.1)
+    run(two, write=False, external=ExternalOptions(announce=lines.append))
+    assert [line.startswith("warning") for line in lines] == [False, False, True]
+    assert lines[-1].endswith("can command leader, uav1")
+    run(two, write=False, external=ExternalOptions(announce=lines.append, quiet=True))
+    assert len(lines) == 3
+
+
+def test_sitl_gyro_filter_is_named_before_flight(binary):
+    """4 Hz with physics at 200 Hz, 2 Hz at 100, and that of an aircraft at 1000."""
+    for rate, cutoff in ((200, "4 Hz"), (100, "2 Hz"), (1000, None)):
+        own = [f"leader.autopilot={ardupilot()}", f"rates.physics_hz={rate}"]
+        world = build(set_duration(loads(SCENARIO, own), 0.1))
+        texts = [e.text for e in world.initial_events if "gyro filter" in e.text]
+        begin = f"leader: SITL at rates.physics_hz {rate} has a gyro filter of {cutoff} in place"
+        assert [text.startswith(begin) for text in texts] == [True] * (cutoff is not None)
+
+
+def test_estimator_and_gps_are_off(binary):
+    events, _ = fly_level(make_scenario(2.0))
+    assert not [event.text for event in events if "EKF3" in event.text]
+
+
+def test_separately_started_arduplane_is_awaited(binary, tmp_path):
+    scenario = make_scenario(1.0, start="false", timeout_s=TIMEOUT_S)
+    text = error_of(make_scenario(1.0, start="false", timeout_s=0.3))
+    assert f"start it with: arduplane --model JSON:127.0.0.1 --speedup 100 -I{FIRST} " in text
+    defaults = tmp_path / "defaults.parm"
+    tune = find_tune("rascal110", "autopilot")
+    defaults.write_text(defaults_text(tune, physics_hz=200, autopilot_hz=50))
+    command = command_line(binary, FIRST, NedOrigin(), 0.0, defaults)
+    child = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL)
+    try:
+        assert fly(scenario)[-1].time_s == 1.0
+        child.wait(timeout=TIMEOUT_S)  # it ends when we close the connection
+    finally:
+        child.kill()
+        child.wait()

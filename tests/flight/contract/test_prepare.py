@@ -1,0 +1,96 @@
+"""No entry is compiled or loaded during a flight: all that it calls is prepared before it."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+from waiting import TIMEOUT_S
+
+from testbed.guidance.mission_follower import guide
+from testbed.plan.world import build
+from testbed.scenario import library, load_scenario
+
+ALL = os.environ.get("TESTBED_PREPARED") == "1"
+GOLDEN = sorted(path.stem for path in (library() / "scenarios" / "golden").glob("*.json"))
+SAMPLE = ("simulation-3-pixhawk", "own-law-repulsion", "ideal-figure-eight", "engine-out-uav2")
+# Compares the machine code of a process at the end of `prepare` and at the end of the run: for each
+# scenario in a process of its own, forked before any code is loaded.
+FLY = """
+import gc
+import json
+import os
+import sys
+
+from numba.core.dispatcher import Dispatcher
+from testbed.core.call_list import CalledByAddress
+from testbed.scenario import load_scenario, set_duration
+from testbed.runs import run as runs
+
+
+def signatures():
+    modules = [each for name, each in sys.modules.items() if name.startswith("testbed.")]
+    functions = {each for module in modules for each in vars(module).values()
+                 if isinstance(each, Dispatcher)}
+    compiled = [(each, each.signatures) for each in functions]
+    compiled += [(each, each.types) for each in gc.get_objects() if type(each) is CalledByAddress]
+    return {f"{each.__module__}.{each.__qualname__}{of}" for each, all in compiled for of in all}
+
+
+class Prepared(runs.Flight):
+    def prepare(self, *args):
+        super().prepare(*args)
+        prepared.update(signatures())
+
+
+prepared = set()
+runs.Flight = Prepared
+duration, *names = sys.argv[1:]
+for name in names:
+    if child := os.fork():
+        if os.waitpid(child, 0)[1]:
+            sys.exit(name)
+        continue
+    scenario = load_scenario(name)
+    if duration:
+        begin = scenario.scenario.begin
+        scenario = set_duration(scenario, float(duration) + (begin.at_s if begin else 0.0))
+    runs.run(scenario, out=name)
+    later = sorted(each[:80] for each in signatures() - prepared)
+    print(json.dumps([name, len(prepared), later]), flush=True)
+    sys.exit()
+"""
+
+
+def entries_after_prepare(names, duration, folder, **environment):
+    """Fly scenarios; return what each compiled or loaded in flight."""
+    done = subprocess.run(
+        [sys.executable, "-c", FLY, duration, *names], cwd=folder, env=os.environ | environment,
+        capture_output=True, text=True, timeout=4 * TIMEOUT_S,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    found = list(map(json.loads, done.stdout.splitlines()))
+    assert all(prepared > 10 for _, prepared, _ in found)
+    return {name: later for name, _, later in found}
+
+
+@pytest.mark.parametrize("names", [[each] for each in GOLDEN] if ALL else [SAMPLE])
+def test_no_entry_is_loaded_in_flight(names, tmp_path):
+    """Flown to the end: faults and losses call others than the first tick."""
+    assert entries_after_prepare(names, "", tmp_path) == {name: [] for name in names}
+
+
+@pytest.mark.skipif(not ALL, reason="TESTBED_PREPARED=1: compiles all from nothing")
+@pytest.mark.parametrize("name", GOLDEN if ALL else GOLDEN[:1])
+def test_no_entry_is_compiled_in_flight(name, tmp_path):
+    """With nothing cached, and without optimisation, which takes a third of the time."""
+    cache = str(tmp_path / "cache")
+    later = entries_after_prepare([name], "2", tmp_path, NUMBA_CACHE_DIR=cache, NUMBA_OPT="0")
+    assert later == {name: []}
+
+
+def test_guidance_of_later_circles_is_prepared():
+    """No mission flies before an external program commands a circle; the leader is a recording."""
+    world = build(load_scenario("simulation-3-recorded-leader"), commanded=True)
+    assert guide in [getattr(each, "function", each) for each, _ in world.entries]

@@ -1,0 +1,105 @@
+"""Limits of a stall's hysteresis act as in JSBSim alone, in both engines."""
+
+import shutil
+
+import jsbsim
+import numpy as np
+import pytest
+
+from testbed.commissioning.airframe_import import copy_aircraft
+from testbed.compiled import CompiledAircraft
+from testbed.compiled.proof import Comparison
+from testbed.core.records import NedOrigin
+from testbed.scenario import library
+from testbed.vehicle.environment import load_planet, set_environment
+from testbed.vehicle.jsbsim_adapter import SHARED_FILES, load, load_executive
+from testbed.vehicle.trim import Controls, Placement
+
+ALPHAS_DEG = (18, 16, 12, 8, 4)
+STALLED = (0.896, 0.828, 0.766, 0.722, 0.559)  # lift coefficients of JSBSim 1.3.3 alone
+PROPERTY = "aero/stall-hyst-norm"
+
+
+@pytest.fixture(scope="module")
+def cessna(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("aircraft") / "c172p"
+    folder.mkdir()
+    copy_aircraft(SHARED_FILES / "aircraft" / "c172p" / "c172p.xml", folder, SHARED_FILES)
+    return folder
+
+
+def fall(fdm):
+    """Return lift coefficients on the way down from an angle of attack of 22°."""
+    for name, value in (("h-sl-ft", 5000.0), ("vt-fps", 120.0), ("gamma-deg", 0.0)):
+        fdm[f"ic/{name}"] = value
+    fdm["ic/alpha-deg"] = 22.0
+    fdm.run_ic()
+    fdm["fcs/elevator-cmd-norm"] = 0.0
+    found, before = {}, 90.0
+    for _ in range(240):
+        fdm.run()
+        alpha = fdm["aero/alpha-deg"]
+        for wanted in ALPHAS_DEG:
+            if before > wanted >= alpha:
+                area = fdm["aero/qbar-psf"] * fdm["metrics/Sw-sqft"]
+                found[wanted] = round(abs(fdm["forces/fwz-aero-lbs"]) / area, 3)
+        before = alpha
+    return tuple(found[each] for each in ALPHAS_DEG)
+
+
+def test_lift_after_a_stall_is_that_of_jsbsim_alone(cessna):
+    alone = jsbsim.FGFDMExec(str(SHARED_FILES), None)
+    assert alone.load_model("c172p")
+    assert fall(alone) == STALLED
+    ours = load_executive(cessna)
+    set_environment(ours)  # with other integrators, and J2
+    assert fall(ours) == pytest.approx(STALLED, abs=0.01)
+
+
+def test_a_planet_loaded_later_would_forget_the_limits(cessna):
+    """A negative control."""
+    reset = load_executive(cessna)
+    load_planet(reset)
+    set_environment(reset)
+    assert fall(reset)[0] == pytest.approx(1.326, abs=0.01)
+
+
+def test_a_placement_is_not_stalled_by_an_earlier_one(cessna):
+    """Between the limits, 5° and 21°, the flow is attached after a stall elsewhere."""
+    model = load(cessna, 200)
+    stalled = model.node(PROPERTY).get_double_value
+    states = []
+    for alpha in (0.17, 0.45, 0.17):
+        velocity = (60.0 * np.cos(alpha), 0.0, 60.0 * np.sin(alpha))
+        level = Placement(velocity, (0.0, 0.0, 0.0), 0.0, alpha, 0.0)
+        model.locate((0.0, 0.0, -1000.0), NedOrigin())
+        model.place(level, Controls(0.0, 0.0, 0.0, 0.5), spin=False)
+        states.append(stalled())
+    assert states == [0.0, 1.0, 0.0]
+
+
+def test_compiled_aircraft_stalls_as_in_jsbsim(tmp_path):
+    """Gusts carry a Rascal with these limits above them, between them and below them."""
+    limits = (
+        '<hysteresis_limits unit="DEG"> <min> 4 </min> <max> 9 </max> </hysteresis_limits>'
+        f'<function name="made/stall"><product><v>0.3</v><p>{PROPERTY}</p></product></function>'
+    )
+    kite = tmp_path / "kite"
+    shutil.copytree(library() / "aircraft" / "rascal110", kite)
+    file = (kite / "rascal110.xml").rename(kite / "kite.xml")
+    text = file.read_text(encoding="utf-8")
+    file.write_text(text.replace('<axis name="DRAG">', f'{limits}<axis name="DRAG">'), "utf-8")
+    comparison = Comparison(CompiledAircraft(kite, load(kite, 200)), 200)
+    comparison.place(spin=True, calm=True)
+    columns = [comparison._aircraft.columns[each] for each in (PROPERTY, "aero/alpha-rad")]
+    seen = []
+    for step in range(600):
+        if step % 30 == 0:
+            comparison.set("atmosphere/wind-down-fps", (0.0, -25.0, -4.0)[step // 30 % 3])
+        comparison._step()
+        comparison.check(f"{step} steps after the start")
+        seen.append(comparison.row[columns].tolist())
+    assert comparison.unequal == ""
+    states, alphas = (np.array(each) for each in zip(*seen, strict=True))
+    between = (alphas > np.radians(4.0)) & (alphas < np.radians(9.0))
+    assert {0.0, 1.0} <= set(states[between])
