@@ -23,11 +23,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = (
-    *("formation", "sensors", "atmosphere", "network", "compiled", "flight", "metrics"),
-    *("logs", "studies", "linear", "mavlink", "scenario", "plan", "core", "cli", "autopilot"),
-    *("airframes", "vehicle", "commissioning", "flight_logs", "golden", "pool", "tuning"),
-)
+PACKAGES = tuple(sorted(each.parent.name for each in ROOT.glob("testbed/*/__init__.py")))
 COMPARISONS = {
     ast.Lt: "<=",
     ast.LtE: "<",

@@ -345,7 +345,7 @@ class LinearSystem:
         """Return in what a follower moves most: angles, and velocities over its speed.
 
         Args:
-            follower: whose outputs tell it.
+            follower: name of the part; its attitude and slot error are compared.
             vector: (n,) of the mode.
             rate: its magnitude, 1/s.
         """

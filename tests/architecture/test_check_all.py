@@ -9,9 +9,11 @@ sys.path.insert(0, str(ROOT / "tests"))
 
 import check_all  # noqa: E402
 
-# not of a sample: written, set by a test for its own processes, or looked at by a person
-OTHERS = {"TESTBED_SNAPSHOTS", "TESTBED_PICTURES", "TESTBED_SOCKET", "TESTBED_TEST_MARK"}
-OTHERS |= {"TESTBED_SHARD"}  # which files of tests run
+# not of a sample: written, set by a test for its own processes, looked at by a person, or the shard
+OTHERS = {
+    *("TESTBED_SNAPSHOTS", "TESTBED_PICTURES", "TESTBED_SOCKET", "TESTBED_TEST_MARK"),
+    "TESTBED_SHARD",
+}
 
 
 def sizes():
