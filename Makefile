@@ -20,6 +20,8 @@ TRAINING_STAMP := $(TRAINING)/.installed
 TOOLS := .venv-release
 TOOLS_STAMP := $(TOOLS)/.installed
 MAKEFLAGS += --no-print-directory
+# Bytecode is kept: tests start some hundred processes, and each would compile the testbed's text.
+export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
 .PHONY: help setup run test checks warm-sensors warm-flights lint types tests clients check-all train bench rates results predictions delay numbers arduplane netem fly docs release audit newest lock clean

@@ -1,10 +1,11 @@
-"""Measure the start of `testbed --help` and of a run to its first tick, relative to Python alone.
+"""Measure what a flight costs besides itself: its start, a first flight, and further ones.
 
-Processes are started alternately: one that does nothing, one that prints the help, and one that
-ends at the run's first sample. The first of each, which may compile, is left out. Ratios are to
-Python alone before and after, so that they also hold on a busy machine.
+Processes are started in turns, with bytecode and machine code kept from before; the first of
+each, which may compile, is left out. The unit N is the processor time of `python -c "import
+numpy"`. It is no measure alone: on a shared machine the same command takes different numbers of N
+from hour to hour. With --before each command is run by an earlier version too, in the same turns.
 
-usage: make bench  (or: python benchmarks/startup.py [--scenario NAME] [--repeats N] [--json FILE])
+usage: make bench  (or: python benchmarks/startup.py [--before REVISION] [--json FILE])
 """
 
 from __future__ import annotations
@@ -16,113 +17,170 @@ import statistics
 import subprocess
 import sys
 import tempfile
-import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from typing import NamedTuple
 
-# Bytecode is kept, as from the second start on.
-ENVIRONMENT = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
-# The observer that reports progress gets its first sample before the second tick.
-TO_FIRST_TICK = """
-import os, sys
-import testbed.runs.run
-from testbed.cli.entry import main
-
-class FirstTick:
-    zero_copy = True
-    def __init__(self, *args): pass
-    def begin(self, info): pass
-    def observe(self, sample): os._exit(0)
-    def end(self, *args): pass
-
-testbed.runs.run.FlightProgress = FirstTick
-sys.argv = ["testbed", "run", {scenario!r}, "--out", "run"]
-main()
-sys.exit("the run ended without a tick")
+ROOT = Path(__file__).parents[1]
+FURTHER = """
+import sys, time
+from testbed.runs.run import run
+from testbed.scenario import load_scenario
+scenario, times = load_scenario("simulation-3"), []
+for _ in range({flights} + 5):
+    began = time.process_time()
+    run(scenario, duration_s=5.0, write=False)
+    times.append(time.process_time() - began)
+print(sorted(times[5:])[{flights} // 2])
 """
+# A law of a user's: towards the slot, with the leader's velocity.
+LAW = """
+import testbed
+from testbed.law import command_from_velocity
+
+@testbed.kernel
+def hold(now, own, inbox, memory, config):
+    error = inbox.position_ned[0] + config.offsets[config.agents] - own.position_ned
+    return command_from_velocity(config, own, inbox.velocity_ned[0] + 0.1 * error)
+"""
+SCENARIO = "extends: {scenario}\ncontroller: {{law: 'law.py:hold'}}\n"
 
 
-def start_time_s(arguments: list[str]) -> tuple[float, float]:
-    """Measure wall-clock and processor time of a Python process, s."""
+class Used(NamedTuple):
+    """What a process has used."""
+
+    processor_s: float
+    megabytes: float
+    printed: str
+
+
+class Version(NamedTuple):
+    """A version of the testbed, with a folder for its machine code and bytecode."""
+
+    name: str
+    tree: Path
+    kept: Path
+
+    def call(self, arguments: Sequence[str], kept: str = "kept") -> Used:
+        """Run a Python process of this version, and measure it.
+
+        Args:
+            arguments: of Python.
+            kept: name of the folder of its machine code.
+        """
+        environment = {
+            **{k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"},
+            "PYTHONPATH": str(self.tree),
+            "PYTHONPYCACHEPREFIX": str(self.kept / "bytecode"),
+            "NUMBA_CACHE_DIR": str(self.kept / kept),
+        }
+        with tempfile.TemporaryDirectory() as folder:
+            (Path(folder) / "law.py").write_text(LAW)
+            scenario = self.tree / "scenarios" / "simulation-3.yaml"
+            (Path(folder) / "law.yaml").write_text(SCENARIO.format(scenario=scenario))
+            process = subprocess.Popen(
+                [sys.executable, *arguments],
+                cwd=folder,
+                env=environment,
+                stdout=subprocess.PIPE,
+                text=True,
+            )
+            assert process.stdout is not None
+            with process.stdout:
+                printed = process.stdout.read()
+            _, status, used = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+        if process.returncode:
+            raise SystemExit(f"{self.name}: python {' '.join(arguments)[:80]} failed")
+        return Used(used.ru_utime + used.ru_stime, used.ru_maxrss / 1024.0, printed)
+
+
+@contextmanager
+def versions(before: str | None) -> Iterator[list[Version]]:
+    """Yield an earlier version, in a copy of the repository, and this one."""
     with tempfile.TemporaryDirectory() as folder:
-        began = time.perf_counter()
-        process = subprocess.Popen(
-            [sys.executable, *arguments], cwd=folder, env=ENVIRONMENT, stdout=subprocess.DEVNULL
-        )
-        _, status, used = os.wait4(process.pid, 0)
-        wall = time.perf_counter() - began
-    process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode:
-        raise SystemExit(f"python {arguments[0]} … ended with {process.returncode}")
-    return wall, used.ru_utime + used.ru_stime
+        now = Version("now", ROOT, Path(folder) / "now")
+        if before is None:
+            yield [now]
+            return
+        tree = Path(folder) / "tree"
+        git = ["git", "-C", str(ROOT), "worktree"]
+        subprocess.run([*git, "add", "-q", "--detach", str(tree), before], check=True)
+        try:
+            yield [Version("before", tree, Path(folder) / "before"), now]
+        finally:
+            subprocess.run([*git, "remove", "--force", str(tree)], check=True)
 
 
 def main() -> None:
-    """Measure, and print the result."""
+    """Measure, and print each result in a line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--scenario", default="simulation-3")
-    parser.add_argument("--repeats", type=int, default=10)
+    parser.add_argument("--before", metavar="REVISION", help="also measure this version, in turns")
+    parser.add_argument("--repeats", type=int, default=15)
+    parser.add_argument("--first", type=int, default=3, help="first flights, with nothing compiled")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
-    idle = ["-c", "pass"]
+    run = ["-m", "testbed", "run", "--quiet", "--out", "run"]
     commands = {
         "testbed --help": ["-m", "testbed", "--help"],
-        f"testbed run {options.scenario}, to its first tick": [
-            "-c",
-            TO_FIRST_TICK.format(scenario=options.scenario),
-        ],
+        "testbed run simulation-3 --duration 5": [*run, "simulation-3", "--duration", "5"],
+        "testbed run simulation-3": [*run, "simulation-3"],
+        "5 s with a kernel law": [*run, "law.yaml", "--duration", "5"],
     }
-    result: dict[str, object] = {"repeats": options.repeats, "scenario": options.scenario}
-    for arguments in commands.values():
-        start_time_s(arguments)  # compiles the kernels
-    alone = [start_time_s(idle)]
-    measured: dict[str, list[tuple[float, float]]] = {name: [] for name in commands}
-    between: dict[str, list[float]] = {name: [] for name in commands}
-    for _ in range(options.repeats):
+    result: dict[str, object] = {}
+    with versions(options.before) as found:
+        numpy = ["-c", "import numpy"]
+        units = [found[-1].call(numpy).processor_s for _ in range(options.repeats)]
+        unit = statistics.median(units)
+        print(f'N, python -c "import numpy": {unit:.3f} s', flush=True)
         for name, arguments in commands.items():
-            measured[name].append(start_time_s(arguments))
-            alone.append(start_time_s(idle))
-            between[name].append(0.5 * (alone[-2][0] + alone[-1][0]))
-    print_line("python -c pass", alone, None, result)
-    for name, each in measured.items():
-        print_line(name, each, between[name], result)
+            report(name, measure(found, options.repeats, arguments), unit, result)
+        first = measure(
+            found, options.first, commands["testbed run simulation-3 --duration 5"], True
+        )
+        report("first flight of 5 s, with nothing compiled", first, unit, result)
+        further = {name: [] for name in first}
+        for _ in range(options.first):
+            for each in found:
+                printed = each.call(["-c", FURTHER.format(flights=50)]).printed
+                further[each.name].append(Used(float(printed), 0.0, ""))
+        report("each further flight of 5 s in a process", further, unit, result)
     if options.json:
         options.json.write_text(json.dumps(result, indent=2) + "\n")
 
 
-def print_line(
-    name: str,
-    times: list[tuple[float, float]],
-    alone: list[float] | None,
-    result: dict[str, object],
-) -> None:
-    """Print one line, and add its numbers to the result.
+def measure(
+    found: Sequence[Version], repeats: int, arguments: Sequence[str], anew: bool = False
+) -> dict[str, list[Used]]:
+    """Measure a command of each version in turns; anew: each time with nothing compiled."""
+    used: dict[str, list[Used]] = {each.name: [] for each in found}
+    for each in found:
+        each.call(arguments)  # compiles
+    for number in range(repeats):
+        for each in found:
+            kept = f"anew-{number}" if anew else "kept"
+            used[each.name].append(each.call(arguments, kept))
+    return used
 
-    Args:
-        name: what was started.
-        times: wall clocks and processor times, s.
-        alone: for each, the wall clock of Python alone, s.
-        result: gains them.
-    """
-    walls = [wall for wall, _ in times]
-    processor = statistics.median(used for _, used in times)
-    line = f"{name}: {spread(walls, '.3f')} s, processor {processor:.3f} s"
-    numbers: dict[str, object] = {
-        "wall_s": statistics.median(walls),
-        "wall_s_spread": [min(walls), max(walls)],
-        "processor_s": processor,
+
+def report(name: str, used: dict[str, list[Used]], unit: float, result: dict[str, object]) -> None:
+    """Print what a command takes, and add its numbers to the result."""
+    medians = {
+        version: statistics.median(each.processor_s for each in all_used)
+        for version, all_used in used.items()
     }
-    if alone:
-        ratios = [wall / empty for wall, empty in zip(walls, alone, strict=True)]
-        numbers |= {"ratio": statistics.median(ratios), "spread": [min(ratios), max(ratios)]}
-        line += f"; x {spread(ratios, '.1f')} Python alone"
+    now = medians["now"]
+    megabytes = statistics.median(each.megabytes for each in used["now"])
+    numbers = {"processor_s": now, "numpy_imports": now / unit, "megabytes": megabytes}
+    line = f"{name}: {now:.3f} s, {now / unit:.1f} N"
+    if megabytes:
+        line += f", {megabytes:.0f} MB"
+    if "before" in medians:
+        numbers["ratio"] = now / medians["before"]
+        line += f"; {numbers['ratio']:.2f} of {medians['before']:.3f} s before"
     result[name] = numbers
     print(line, flush=True)
-
-
-def spread(values: list[float], form: str) -> str:
-    """Return median, smallest and largest value as text."""
-    median, low, high = statistics.median(values), min(values), max(values)
-    return f"{median:{form}} ({low:{form}}-{high:{form}})"
 
 
 if __name__ == "__main__":

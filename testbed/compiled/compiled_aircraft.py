@@ -15,7 +15,7 @@ from testbed.compiled.frame import attitude_rate
 from testbed.compiled.model_limits import ABOVE_ATMOSPHERE
 from testbed.compiled.rows import write_attitude, write_motion
 from testbed.compiled.source import Recalled
-from testbed.compiled.translate import translate
+from testbed.compiled.translate import Translation, translate
 from testbed.core.compile import entry_of_source
 from testbed.core.geodetic import RADIANS, local_frame
 from testbed.core.records import AIRCRAFT, Array, ByteArray, NedOrigin, Records
@@ -59,20 +59,26 @@ class CompiledAircraft:
     CONSTANT = True
 
     def __init__(
-        self, folder: Path, model: JsbsimModel, integrators: Integrators = INTEGRATORS
+        self,
+        folder: Path,
+        model: JsbsimModel | Translation,
+        integrators: Integrators = INTEGRATORS,
     ) -> None:
         """Translate the aircraft; the entry is compiled when it is prepared or first called.
 
         Args:
             folder: of the aircraft.
-            model: the aircraft in JSBSim, for sizes and for its centre of gravity.
+            model: the aircraft in JSBSim, for sizes and for its centre of gravity; or what
+                `translate_model` has made of it.
             integrators: of the flight model.
 
         Raises:
             NotTranslated: the aircraft has a part that only JSBSim flies.
         """
         self.folder, self.integrators = Path(folder).resolve(), integrators
-        self._translation = translate(self.folder, _reader(model), integrators)
+        if not isinstance(model, Translation):
+            model = translate_model(self.folder, model, integrators)
+        self._translation = model
         self.columns, self.source = self._translation.columns, self._translation.source
         wanted = (*AIR_PROPERTIES, *BATTERY_PROPERTIES)
         self.air_columns = np.array([self.columns.get(each, -1) for each in wanted])
@@ -169,6 +175,17 @@ class CompiledAircraft:
     def recalled(self) -> dict[str, Recalled]:
         """Columns that JSBSim has no property for; `row_of` needs a placement with spin."""
         return self._translation.recalled
+
+
+def translate_model(
+    folder: Path, model: JsbsimModel, integrators: Integrators = INTEGRATORS
+) -> Translation:
+    """Translate an aircraft, as `CompiledAircraft` does.
+
+    Raises:
+        NotTranslated: the aircraft has a part that only JSBSim flies.
+    """
+    return translate(folder, _reader(model), integrators)
 
 
 def _reader(model: JsbsimModel) -> Callable[[str], float | None]:

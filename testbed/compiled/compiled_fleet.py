@@ -10,18 +10,22 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from testbed.airframes.powerplant import AircraftError
 from testbed.compiled import CompiledAircraft, NotTranslated
 from testbed.compiled.columns import AIR_INPUTS, START
+from testbed.compiled.compiled_aircraft import translate_model
 from testbed.compiled.proof import Proof, prove_aircraft
 from testbed.compiled.rows import write_air as write_air_numbers
 from testbed.compiled.rows import write_motion
+from testbed.compiled.translate import Translation
 from testbed.core.call_list import Call, Step
 from testbed.core.compile import Progress, current_progress, entry, is_interpreted, prepare
 from testbed.core.errors import InputError, raise_memory_shortage
 from testbed.core.frames import FOOT
 from testbed.core.records import Array, BoolArray, ByteArray, Indices, NedOrigin, Records, Values
 from testbed.vehicle.fleet import FlightModels, Move, place_model
-from testbed.vehicle.jsbsim_adapter import VERSION, cache_by_folder, load
+from testbed.vehicle.folder_results import cache_by_folder
+from testbed.vehicle.jsbsim_adapter import VERSION, load
 from testbed.vehicle.jsbsim_io import BATTERY_PROPERTIES, CONTROLS, lead_controls, write_truth
 from testbed.vehicle.trim import InitialState, TrimResult
 
@@ -51,7 +55,7 @@ class Engine(NamedTuple):
     reasons: tuple[str, ...]
 
 
-@cache_by_folder(maxsize=64)
+@cache_by_folder(64)
 def find_engine(folder: Path, rate_hz: int) -> Engine:
     """Translate the aircraft in a folder, and prove that it equals the installed JSBSim.
 
@@ -60,10 +64,9 @@ def find_engine(folder: Path, rate_hz: int) -> Engine:
     Raises:
         AircraftError: JSBSim cannot load the aircraft.
     """
-    model = load(folder, rate_hz)
     try:
         with _as_reasons(f"{folder.name}: cannot be translated"):
-            compiled = CompiledAircraft(folder, model)
+            compiled = CompiledAircraft(folder, _translation(folder, rate_hz))
         with _as_reasons(f"{folder.name}: cannot be compiled"):
             prepare([(compiled.run_rows, _example(compiled))], _guarded(current_progress()))
         with _as_reasons(f"{folder.name}: cannot be compared with JSBSim {VERSION}"):
@@ -79,6 +82,11 @@ def find_engine(folder: Path, rate_hz: int) -> Engine:
     return Engine(compiled, (f"{folder.name} equals JSBSim {VERSION} in {compared}",))
 
 
+@cache_by_folder(64, kept=Translation)
+def _translation(folder: Path, rate_hz: int) -> Translation:
+    return translate_model(folder, load(folder, rate_hz))
+
+
 def untranslated(folder: Path, rate_hz: int) -> tuple[str, ...]:
     """Return why the aircraft in a folder cannot be translated; none: it can.
 
@@ -87,10 +95,9 @@ def untranslated(folder: Path, rate_hz: int) -> tuple[str, ...]:
     Raises:
         AircraftError: JSBSim cannot load the aircraft.
     """
-    model = load(folder, rate_hz)
     try:
         with _as_reasons(f"{folder.name}: cannot be translated"):
-            CompiledAircraft(folder, model)
+            _translation(folder, rate_hz)
     except NotTranslated as error:
         return tuple(str(error).splitlines())
     return ()
@@ -120,11 +127,12 @@ def _as_reasons(where: str) -> Iterator[None]:
 
     Raises:
         NotTranslated: the block has failed.
+        AircraftError: JSBSim cannot load the aircraft.
         MemoryError: for lack of memory, which JSBSim needs, too.
     """
     try:
         yield
-    except NotTranslated:
+    except (NotTranslated, AircraftError):
         raise
     except _ProgressFailed as error:
         assert error.__cause__ is not None, "it has the error that was raised"
@@ -225,7 +233,7 @@ class PlacedRow(NamedTuple):
     leads: Array
 
 
-@cache_by_folder(maxsize=256)
+@cache_by_folder(256, kept=PlacedRow)
 def place_row(folder: Path, start: InitialState, origin: NedOrigin, rate_hz: int) -> PlacedRow:
     """Trim an aircraft in JSBSim, and take over its state as a row; it is cached.
 

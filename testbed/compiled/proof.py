@@ -6,13 +6,8 @@ compared with `==` after each step.
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
-import platform
-from contextlib import suppress
-from dataclasses import asdict, dataclass
-from importlib.metadata import version
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,11 +15,11 @@ from testbed.compiled.columns import AIR_INPUTS, CONTROLS, WIND
 from testbed.compiled.compiled_aircraft import CompiledAircraft
 from testbed.compiled.elements import NotTranslated
 from testbed.compiled.rows import write_motion
-from testbed.core.compile import kept_files
-from testbed.core.input_files import parse_json_map
+from testbed.core.kept_results import find_result
 from testbed.core.random import named_stream
 from testbed.core.records import Array, NedOrigin
-from testbed.vehicle.jsbsim_adapter import VERSION, folder_digest, load
+from testbed.vehicle.folder_results import folder_digest
+from testbed.vehicle.jsbsim_adapter import VERSION, load
 from testbed.vehicle.jsbsim_io import MOTION_PROPERTIES
 from testbed.vehicle.jsbsim_model import JsbsimModel
 from testbed.vehicle.trim import Controls, Placement
@@ -58,31 +53,8 @@ class Proof:
 
 def prove_aircraft(aircraft: CompiledAircraft, rate_hz: int) -> Proof:
     """Compare a compiled aircraft with JSBSim, at steps per second; keep the result on disk."""
-    kept, name = kept_files(), _file_name(aircraft, rate_hz)
-    if content := kept.read(name):
-        with suppress(ValueError, TypeError):
-            return Proof(**parse_json_map(content))
-    proof = compare(aircraft, rate_hz)
-    kept.write(name, json.dumps(asdict(proof)).encode())
-    return proof
-
-
-def _file_name(aircraft: CompiledAircraft, rate_hz: int) -> str:
-    """Return the name of the kept result, which has all that the result depends on.
-
-    That is the aircraft, JSBSim, integrators and rate, and the libraries that make and run the
-    machine code; the folder is named after the text of the translator and of this module.
-    """
-    of = (
-        folder_digest(aircraft.folder),
-        aircraft.source,
-        aircraft.integrators,
-        rate_hz,
-        VERSION,
-        [version(each) for each in ("numba", "llvmlite")],
-        [platform.machine(), *platform.libc_ver()],
-    )
-    return f"proof-{hashlib.sha256(repr(of).encode()).hexdigest()[:16]}"
+    of = folder_digest(aircraft.folder), aircraft.source, aircraft.integrators, rate_hz
+    return find_result(Proof, "proof", of, lambda: compare(aircraft, rate_hz))
 
 
 def compare(

@@ -166,10 +166,9 @@ class CalledByAddress:
         self.function, self._takes_time = function, takes_time
         self._addresses: dict[tuple[Any, ...], tuple[int, int]] = {}
 
-    @property
-    def types(self) -> list[tuple[Any, ...]]:
-        """Types of the arguments for which there is machine code, numba's."""
-        return list(self._addresses)
+    def has(self, types: tuple[Any, ...]) -> bool:
+        """Return whether there is machine code for arguments of these types, numba's."""
+        return types in self._addresses
 
     def compile(self, types: tuple[Any, ...]) -> tuple[int, int]:
         """Compile or load the entry for arguments of these types, numba's.

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import fcntl
 import functools
+import gc
 import hashlib
 import linecache
 import os
@@ -50,6 +51,9 @@ class Compilable(Protocol):
     __module__: str
     __qualname__: str
 
+    def has(self, types: Types) -> bool:
+        """Return whether there is machine code in this process."""
+
     def compile(self, types: Types) -> object:
         """Compile it for arguments of these types, or load the machine code."""
 
@@ -61,42 +65,113 @@ Progress: TypeAlias = Callable[[int, int], None]  # called with the entries done
 _registered: ContextVar[list[Arguments] | None] = ContextVar("registered", default=None)
 _progress: ContextVar[Progress | None] = ContextVar("progress", default=None)
 
-# Packages with kernels: a change in any of their files recompiles all kernels.
+# Packages with kernels, or from which kept results follow: a change in any of their files makes all
+# machine code and all results anew.
 KERNEL_PACKAGES = (
-    *("core", "atmosphere", "ardupilot", "autopilot", "commissioning", "compiled", "flight"),
-    *("formation", "guidance", "network", "sensors", "vehicle"),
+    *("core", "airframes", "atmosphere", "ardupilot", "autopilot", "commissioning", "compiled"),
+    *("flight", "formation", "guidance", "network", "sensors", "vehicle"),
 )
 _FOLDER_NAME = re.compile("kernels-[0-9a-f]{16}")
 _FILE_NAME = re.compile(
-    r"turn|compiling|ready-[0-9a-f]+|proof-[0-9a-f]+|.+\.code|\.[0-9a-f]+\.part"
+    r"turn|compiling|ready-[0-9a-f]+|result-[a-z-]+-[0-9a-f]+|.+\.code|\.[0-9a-f]+\.part"
     # of earlier versions
-    r"|run_[0-9a-f]+\.source|proof-[0-9a-f]+\.json|.+\.nb[ci](\.tmp\..+)?"
+    r"|proof-[0-9a-f]+|run_[0-9a-f]+\.source|proof-[0-9a-f]+\.json|.+\.nb[ci](\.tmp\..+)?"
 )  # in it
+_COLLECT_EVERY = 50_000  # new objects, where kernels are compiled
 UNUSED_DAYS = 30  # after which machine code in a shared folder is removed
+# numba reads it, too, when it is imported
+_INTERPRETED = os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0")
 # numpy divides by zero as IEEE does; nothing is reordered, so that runs repeat to the bit
 _OPTIONS: dict[str, Any] = {"error_model": "numpy"}
 _CHECKED = {**_OPTIONS, "boundscheck": True}
 
 
+class CompiledFunction:
+    """An entry or a kernel: numba's function is made when it is first needed.
+
+    numba takes 0.3 ms for each, and the kernels in an entry whose machine code is loaded are never
+    needed.
+    """
+
+    CONSTANT = True
+    __qualname__: str
+
+    def __init__(self, function: Callable[..., Any], make: Callable[[], Any]) -> None:
+        """Make nothing yet.
+
+        Args:
+            function: of Python.
+            make: returns numba's dispatcher of it.
+        """
+        functools.update_wrapper(self, function)
+        self.py_func = function
+        self._make = make
+
+    @functools.cached_property
+    def dispatcher(self) -> Any:  # noqa: ANN401 - numba's
+        """What numba compiles."""
+        _register_jitable()
+        return self._make()
+
+    @property
+    def _numba_type_(self) -> Any:  # noqa: ANN401 - numba's
+        """By which numba knows it where another function calls it."""
+        return self.dispatcher._numba_type_
+
+    @property
+    def signatures(self) -> list[Types]:
+        """Types of the arguments for which there is machine code."""
+        found: list[Types] = self.dispatcher.signatures
+        return found
+
+    @property
+    def overloads(self) -> dict[Types, Any]:
+        """What numba has compiled or loaded, by the types of the arguments."""
+        found: dict[Types, Any] = self.dispatcher.overloads
+        return found
+
+    def has(self, types: Types) -> bool:
+        """Return whether there is machine code in this process."""
+        return types in self.overloads
+
+    def compile(self, types: Types) -> object:
+        """Compile it for arguments of these types, or load the machine code."""
+        found: object = self.dispatcher.compile(types)
+        return found
+
+    def __call__(self, *args: Any, **named: Any) -> Any:  # noqa: ANN401
+        """Call it from Python."""
+        return self.dispatcher(*args, **named)
+
+    def __reduce__(self) -> str:
+        """Return its name, by which `pickle` and `copy` know it, as they do other functions."""
+        return self.__qualname__
+
+
+def _compiled(function: F, make: Callable[[], Any]) -> F:
+    if is_interpreted():
+        return function
+    return CompiledFunction(function, make)  # type: ignore[return-value]
+
+
 def kernel(function: F) -> F:
     """Compile a function that other kernels call."""
-    import numba
-
-    compiled: Any = numba.njit(**_OPTIONS)(function)
-    return compiled  # type: ignore[no-any-return]
+    return _compiled(function, lambda: _make_kernel(function, _OPTIONS))
 
 
 def entry(function: F) -> F:
     """Compile a function that Python calls, and keep its machine code on disk where possible."""
-    return _entry(function, {})
+    return _compiled(function, lambda: _make_entry(function, _OPTIONS))
+
+
+def entry_beside_python(function: F) -> F:
+    """Compile as `entry` does; other threads run Python meanwhile."""
+    return _compiled(function, lambda: _make_entry(function, {**_OPTIONS, "nogil": True}))
 
 
 def checked_kernel(function: F) -> F:
     """Compile a function of a user's that kernels call; an index out of bounds is an exception."""
-    import numba
-
-    compiled: Any = numba.njit(**_CHECKED)(function)
-    return compiled  # type: ignore[no-any-return]
+    return _compiled(function, lambda: _make_kernel(function, _CHECKED))
 
 
 def entry_of_user_code(function: F, digest: str | None) -> F:
@@ -106,29 +181,35 @@ def entry_of_user_code(function: F, digest: str | None) -> F:
         function: as `entry` has it; it may use variables of the function that encloses it.
         digest: of all that it consists of, which names the machine code; None: that is not kept.
     """
-    import numba
-
     if digest is not None:
         function.__name__ = function.__qualname__ = f"{function.__name__}_{digest[:32]}"
-    compiled: Any = numba.njit(**_CHECKED)(function)
-    if digest is not None and not is_interpreted():
-        _keep(compiled, function, by_name=True)
-    return compiled  # type: ignore[no-any-return]
+    by_name = None if digest is None else True
+    return _compiled(function, lambda: _make_entry(function, _CHECKED, by_name=by_name))
 
 
-def entry_beside_python(function: F) -> F:
-    """Compile as `entry` does; other threads run Python meanwhile."""
-    return _entry(function, {"nogil": True})
+def _make_kernel(function: Callable[..., Any], options: dict[str, Any]) -> Any:  # noqa: ANN401
+    from testbed.core.kernel_code import Kernel
+
+    return Kernel(function, options=options)
 
 
-def _entry(function: F, options: dict[str, Any]) -> F:
+def _make_entry(
+    function: Callable[..., Any], options: dict[str, Any], *, by_name: bool | None = False
+) -> Any:  # noqa: ANN401
+    """Return numba's dispatcher of an entry.
+
+    Args:
+        function: of Python.
+        options: numba's.
+        by_name: see `machine_code.KeptCode`; None: its machine code is not kept.
+    """
     import numba
 
-    if is_interpreted():
-        return function
-    compiled: Any = numba.njit(**_OPTIONS, **options)(function)
-    _keep(compiled, function, by_name=False)
-    return compiled  # type: ignore[no-any-return]
+    njit: Any = numba.njit
+    compiled = njit(**options, no_cfunc_wrapper=True)(function)
+    if by_name is not None:
+        _keep(compiled, function, by_name=by_name)
+    return compiled
 
 
 def entry_of_source(name: str, source: str) -> Callable[..., Any]:
@@ -167,17 +248,14 @@ def address_of(function: Callable[..., Any], returns: Any, *types: Any) -> int: 
 
 def is_interpreted() -> bool:
     """Return whether entries and kernels run as Python."""
-    import numba
-
-    config: Any = numba.config
-    return bool(config.DISABLE_JIT)
+    return _INTERPRETED
 
 
 def is_compiled(value: object) -> bool:
-    """Return whether something is an entry or a kernel that numba compiles."""
+    """Return whether something is a function that numba compiles."""
     from numba.core.dispatcher import Dispatcher
 
-    return isinstance(value, Dispatcher)
+    return isinstance(value, CompiledFunction | Dispatcher)
 
 
 def _keep(compiled: Any, function: Callable[..., Any], *, by_name: bool) -> None:  # noqa: ANN401
@@ -195,9 +273,18 @@ def _keep(compiled: Any, function: Callable[..., Any], *, by_name: bool) -> None
 
 def jitable(function: F) -> F:
     """Let kernels call a function, which stays plain Python when Python calls it."""
+    _jitable.append(function)
+    return function
+
+
+_jitable: list[Callable[..., Any]] = []  # not yet known to numba
+
+
+def _register_jitable() -> None:
     from numba.extending import register_jitable
 
-    return register_jitable(function)
+    while _jitable:
+        register_jitable(_jitable.pop())
 
 
 def bind_entry(
@@ -213,7 +300,7 @@ def bind_entry(
     Returns:
         The entry bound to `args`.
     """
-    if hasattr(function, "compile"):  # not in debug mode
+    if isinstance(function, CompiledFunction):  # not in debug mode
         register(function, *args, *like)
     return functools.partial(function, *args)
 
@@ -286,18 +373,21 @@ def prepare(
     """Compile entries for the arguments they are bound to, or load their machine code.
 
     Of several processes that need the same entries one compiles, and the others wait for it.
+    Entries that have machine code in this process are left out.
 
     Args:
         calls: entries, each with arguments of the types of its calls; nothing is called.
-        progress: called with the number of entries done and of all entries, from the moment at
-            which the first has to be compiled; not at all where machine code is loaded. None: that
-            of `reporting`.
+        progress: called with the number of entries done and of these, from the moment at which the
+            first has to be compiled; not at all where machine code is loaded. None: that of
+            `reporting`.
         check: called before each entry, and while another process compiles; an error that it
             raises ends the call.
     """
     progress = progress or _progress.get()
     found = ((function, types_of(args)) for function, args in calls)
-    entries = list(dict.fromkeys(found))
+    entries = [each for each in dict.fromkeys(found) if not each[0].has(each[1])]
+    if not entries:
+        return
     compiled = False
 
     def show(done: int) -> None:
@@ -325,13 +415,10 @@ def prepare(
 @contextmanager
 def compiling(begin: Callable[[], None]) -> Iterator[None]:
     """Call `begin` once in the block, when the first kernel is compiled rather than loaded."""
-    import numba
-    from numba.core import event
-
-    config: Any = numba.config
-    if config.DISABLE_JIT:
+    if is_interpreted():
         yield
         return
+    from numba.core import event
 
     class Listener(event.Listener):
         begun = False
@@ -339,6 +426,9 @@ def compiling(begin: Callable[[], None]) -> Iterator[None]:
         def on_start(self, event: Any) -> None:  # noqa: ANN401
             if not self.begun:
                 self.begun = True
+                # numba leaves garbage in cycles: with the command line's threshold, 60 MB of it
+                threshold, *others = gc.get_threshold()
+                gc.set_threshold(min(threshold, _COLLECT_EVERY), *others)
                 begin()
 
         def on_end(self, event: Any) -> None:  # noqa: ANN401

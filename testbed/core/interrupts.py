@@ -20,7 +20,7 @@ from testbed.core.errors import InputError
 
 GRACE_S = 1.0  # after a signal that took effect; signals within it have no effect
 INTERRUPTED = 130  # exit code
-COMPILED = "testbed.core.call_list"  # the module that calls compiled code beside Python
+COMPILED = "testbed.core.call_list", "testbed.core.compile"  # the modules that call compiled code
 STOP_SIGNALS = signal.SIGINT, signal.SIGTERM
 _END = b"\0"  # no signal's number
 
@@ -154,7 +154,7 @@ def _is_stuck(since_s: float) -> bool:
     """
     while time.monotonic() - since_s < GRACE_S:
         frame = sys._current_frames().get(threading.main_thread().ident or 0)
-        compiled = frame is not None and frame.f_globals.get("__name__") == COMPILED
+        compiled = frame is not None and frame.f_globals.get("__name__") in COMPILED
         if not compiled or _handled_s[0] > since_s - GRACE_S:
             return False
         time.sleep(0.02)

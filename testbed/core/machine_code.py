@@ -16,8 +16,10 @@ from typing import Any
 
 import llvmlite
 import numba
+from llvmlite import binding
 from numba.core import compiler, serialize
 from numba.core.caching import _Cache
+from numba.core.codegen import JITCodeLibrary
 from numba.core.runtime.nrt import rtsys
 
 from testbed.core.kept_files import KeptFiles
@@ -25,9 +27,40 @@ from testbed.core.kept_files import KeptFiles
 SUFFIX = ".code"
 _VERSIONS = numba.__version__, llvmlite.__version__, sys.implementation.cache_tag
 _CompileResult: Any = compiler.CompileResult
+_Library: Any = JITCodeLibrary
+_parse_bitcode: Any = binding.parse_bitcode
 _dumps: Any = serialize.dumps
 _OTHER = re.compile(r"[^\w.]")  # characters, such as those of <locals>
 _LETTERS = 80  # of the name of an entry in that of its file
+
+
+class _LoadedLibrary(_Library):  # type: ignore[misc]
+    """Machine code of a kept file.
+
+    Its bitcode, which only a function needs that is compiled and calls it, is parsed then: that of
+    a flight would take 0.1 s.
+    """
+
+    def __init__(
+        self,
+        codegen: Any,  # noqa: ANN401 - numba's
+        name: str,
+        machine_code: bytes,
+        bitcode: bytes,
+        symbols: list[str],
+    ) -> None:
+        super().__init__(codegen, name)
+        self._shared_module: Any
+        self._bitcode = bitcode
+        self.enable_object_caching()
+        self._set_compiled_object(machine_code)
+        self._finalize_final_module()
+        codegen._engine._defined_symbols.update(symbols)
+
+    def _get_module_for_linking(self) -> Any:  # noqa: ANN401 - numba's
+        if self._shared_module is None:
+            self._shared_module = _parse_bitcode(self._bitcode)
+        return self._shared_module
 
 
 class KeptCode(_Cache):
@@ -60,7 +93,7 @@ class KeptCode(_Cache):
         if content is None:
             return None
         with suppress(Exception):  # whatever numba raises: it is compiled anew
-            found = _CompileResult._rebuild(target_context, *pickle.loads(content))
+            found = _load(target_context, *pickle.loads(content))
             if tuple(found.signature.args) == tuple(getattr(sig, "args", sig)):
                 return found
         return None
@@ -69,7 +102,10 @@ class KeptCode(_Cache):
         """Keep what was compiled for a signature, where it can be kept."""
         if self._kept.folder is None or data.library.has_dynamic_globals or data.lifted:
             return
-        self._kept.write(self._file_name(sig, data.codegen), _dumps(data._reduce()))
+        module = data.library._get_module_for_linking()
+        named = (*module.functions, *module.global_variables)
+        symbols = [each.name for each in named if not each.is_declaration]
+        self._kept.write(self._file_name(sig, data.codegen), _dumps((symbols, data._reduce())))
 
     def enable(self) -> None:
         """Do nothing; numba's other caches can be disabled."""
@@ -89,3 +125,39 @@ class KeptCode(_Cache):
             of = (*of, code.co_filename, code.co_code, _dumps(cells) if cells else b"")
         digest = hashlib.sha256(repr(of).encode()).hexdigest()[:32]
         return f"{_OTHER.sub('', name)[-_LETTERS:]}-{digest}{SUFFIX}"
+
+
+def _load(context: Any, symbols: list[str], reduced: tuple[Any, ...]) -> Any:  # noqa: ANN401 - numba's
+    """Return a result of compiling from what numba reduces it to, as numba does.
+
+    Args:
+        context: numba's, of the processor.
+        symbols: that the machine code defines.
+        reduced: parts of the result.
+    """
+    library, description, environment, signature, by_object, lifted, text, again, others = reduced
+    for each in again:
+        each()
+    name, _, (machine_code, bitcode) = library
+    codegen = context.codegen()
+    loaded = _LoadedLibrary(codegen, name, machine_code, bitcode, symbols)
+    result = _CompileResult(
+        typing_context=context.typing_context,
+        target_context=context,
+        entry_point=context.get_executable(loaded, description, environment),
+        typing_error=None,
+        type_annotation=text,
+        signature=signature,
+        objectmode=by_object,
+        lifted=lifted,
+        fndesc=description,
+        library=loaded,
+        call_helper=None,
+        environment=environment,
+        metadata=None,
+        reload_init=again,
+        referenced_envs=others,
+    )
+    for each in others:
+        codegen.set_env(each.env_name, each)
+    return result

@@ -14,8 +14,7 @@ north-east-down frame (NED) of the scenario's origin unless a name has another o
 from __future__ import annotations
 
 import math
-import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import (
@@ -34,6 +33,7 @@ from typing import (
 import numpy as np
 from numpy.typing import NDArray
 
+from testbed.core.compile import is_interpreted
 from testbed.core.field_docs import document_fields
 
 Array = NDArray[np.float64]
@@ -51,8 +51,6 @@ Values: TypeAlias = Any  # a tuple of numbers and vectors
 
 _RecordT = TypeVar("_RecordT")
 _NumbersT = TypeVar("_NumbersT")  # an array, or a number
-# Without the compiler a plain record has no attributes: kernels in a debugger need recarrays.
-_DEBUG = os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0")
 FEW = 100  # numbers of a record that are printed
 
 
@@ -76,7 +74,8 @@ def logged_ned(quantity: str, unit: str) -> Logged:
 def allocate(dtype: np.dtype[Any], *shape: int) -> Records:
     """Allocate records, all zero."""
     records: Records = np.zeros(shape, dtype=dtype)
-    return records.view(np.recarray) if _DEBUG else records
+    # without the compiler a plain record has no attributes
+    return records.view(np.recarray) if is_interpreted() else records
 
 
 def allocate_rows(dtype: np.dtype[Any], rows: int, *shape: int) -> tuple[Records, list[Records]]:
@@ -85,7 +84,7 @@ def allocate_rows(dtype: np.dtype[Any], rows: int, *shape: int) -> tuple[Records
     each = len(memory) // rows
     arrays = [np.ndarray((rows, *shape), dtype, memory)]
     arrays += [np.ndarray(shape, dtype, memory, row * each) for row in range(rows)]
-    whole, *alone = [array.view(np.recarray) if _DEBUG else array for array in arrays]
+    whole, *alone = [array.view(np.recarray) if is_interpreted() else array for array in arrays]
     return whole, alone
 
 
@@ -481,7 +480,8 @@ class RunInfo:
     """Description of a run, for observers before the first sample."""
 
     scenario_name: str  # scenario.name
-    scenario_yaml: str  # resolved scenario
+    # returns the resolved scenario, whose text costs a short flight a tenth where it is not written
+    make_yaml: Callable[[], str] = field(compare=False)
     names: tuple[str, ...]  # N aircraft, the leader first
     aircraft: tuple[str, ...]  # N airframe names, "rascal110"
     wingspan_m: tuple[float, ...]  # N
@@ -513,6 +513,11 @@ class RunInfo:
     engine: str = ""  # what steps the flight models: "compiled" or "jsbsim"; "" without them
     # files of code that the scenario uses, by name
     code: Mapping[str, bytes] = field(default_factory=dict)
+
+    @property
+    def scenario_yaml(self) -> str:
+        """Text of the resolved scenario."""
+        return self.make_yaml()
 
     def __repr__(self) -> str:
         """Name scenario, aircraft, seed and duration."""

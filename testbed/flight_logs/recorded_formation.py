@@ -54,7 +54,7 @@ from testbed.metrics.model import Metrics
 from testbed.metrics.observer import MetricsObserver
 from testbed.plan.fleet import FormationPlan, resolve
 from testbed.plan.world import build_clock, versions
-from testbed.scenario import Scenario, dump
+from testbed.scenario import Scenario, ScenarioText
 from testbed.scenario.fields import MAX_DURATION_S
 
 _DRAWN = 5000  # points of the leader's path in a view
@@ -235,7 +235,7 @@ def _run_info(
     leader = _sample(tracks[0], drawn).position_ned
     return RunInfo(
         scenario_name=scenario.name,
-        scenario_yaml=dump(scenario),
+        make_yaml=ScenarioText(scenario),
         names=plan.names,
         aircraft=tuple(each.folder.name for each in plan.aircraft),
         wingspan_m=tuple(each.airframe.span for each in plan.aircraft),

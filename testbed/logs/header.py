@@ -6,6 +6,7 @@ import dataclasses
 import hashlib
 import json
 from collections.abc import Mapping
+from functools import partial
 from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
@@ -75,7 +76,7 @@ def to_json(info: RunInfo) -> str:
     values: dict[str, Any] = {
         field.name: getattr(info, field.name)
         for field in dataclasses.fields(info)
-        if field.name not in ("directory", "scenario_yaml", "code")
+        if field.name not in ("directory", "make_yaml", "code")
     }
     values["origin"] = dataclasses.asdict(info.origin)
     values["leader_path_ned"] = np.asarray(info.leader_path_ned).tolist()
@@ -101,7 +102,7 @@ def from_json(text: str, *, scenario_yaml: str, code: Mapping[str, bytes]) -> Ru
         raise ValueError(f"{INFO_NAME}: {error}") from None
     values = dict(header)
     values["leader_path_ned"] = np.array(header.leader_path_ned, dtype=np.float64).reshape(-1, 3)
-    return RunInfo(scenario_yaml=scenario_yaml, code=dict(code), **values)
+    return RunInfo(make_yaml=partial(str, scenario_yaml), code=dict(code), **values)
 
 
 def _check_sizes(header: _Header) -> None:

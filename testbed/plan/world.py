@@ -75,12 +75,19 @@ from testbed.plan.warnings import (
     tune_warnings,
     unusual_warnings,
 )
-from testbed.scenario import SCHEMA_VERSION, Scenario, ScenarioError, SingleAircraft, dump
+from testbed.scenario import (
+    SCHEMA_VERSION,
+    Scenario,
+    ScenarioError,
+    ScenarioText,
+    SingleAircraft,
+)
 from testbed.scenario.sections import Rates
 from testbed.scenario.set_keys import KeyUse, read_all, recorded_reads, unused_keys
 from testbed.sensors.estimators import StateEstimators
 from testbed.vehicle.environment import describe_integrators
 from testbed.vehicle.fleet import LOWEST, FlightModels
+from testbed.vehicle.folder_results import unchanging_folders
 from testbed.vehicle.jsbsim_adapter import VERSION as JSBSIM_VERSION
 from testbed.vehicle.trim import STILL, Vector
 
@@ -154,6 +161,7 @@ def build(
 
 
 @registering()
+@unchanging_folders()
 def _build(
     scenario: Scenario,
     commanded: bool,
@@ -326,6 +334,7 @@ def _build_prior(scenario: Scenario, *, blank: bool) -> Flight:
 
 
 @registering()
+@unchanging_folders()
 def build_single(flight: SingleAircraft) -> World:
     """Build the world of one aircraft that a program commands: no leader, law, slot or radio.
 
@@ -381,7 +390,7 @@ def build_single(flight: SingleAircraft) -> World:
         ),
         info=RunInfo(
             **_run_info(flight, fleet, clock, exact=estimators.exact, models=jsbsim.fleet),
-            scenario_yaml=dump(flight),
+            make_yaml=ScenarioText(flight),
             speed_bounds_mps=(),
             kappa_mps=(),
             roll_limit_rad=(),
@@ -496,11 +505,10 @@ def _formation_info(
     """Describe the run of a formation for its observers; see `_run_info`."""
     with unrecorded():
         stored, code = with_stored_code(scenario)
-        text = dump(stored)
     agents = [each.agent for each in fleet.followers]
     return RunInfo(
         **_run_info(scenario, fleet, clock, exact=exact, models=models),
-        scenario_yaml=text,
+        make_yaml=ScenarioText(stored),
         code=code,
         speed_bounds_mps=tuple(each.speed_mps for each in agents),
         bounded_in_ned=wind if scenario.controller.bounded_speed == "airspeed" else STILL,

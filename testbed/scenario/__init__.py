@@ -2,6 +2,7 @@
 
 from testbed.scenario.expect import unchecked as unchecked
 from testbed.scenario.load import ScenarioFile as ScenarioFile
+from testbed.scenario.load import ScenarioText as ScenarioText
 from testbed.scenario.load import dump as dump
 from testbed.scenario.load import dump_middle_loop as dump_middle_loop
 from testbed.scenario.load import find_loaded as find_loaded

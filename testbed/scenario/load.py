@@ -7,10 +7,12 @@ import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 from testbed.core.errors import InputError
 from testbed.core.numbers import parse_whole
+from testbed.core.reads import unrecorded
 from testbed.scenario import references
 from testbed.scenario.arguments import check_overrides, check_path, with_changes
 from testbed.scenario.fields import KeyPath, merge_maps
@@ -239,6 +241,24 @@ def load_guidance(aircraft: str | Path) -> Guidance:
 def dump(scenario: Scenario | SingleAircraft) -> str:
     """Return a scenario as YAML with all defaults; it loads again to an equal object."""
     return write(scenario.model_dump(mode="json", by_alias=True))
+
+
+class ScenarioText:
+    """Text of a scenario, which is made when it is first needed."""
+
+    CONSTANT = True
+
+    def __init__(self, scenario: Scenario | SingleAircraft) -> None:
+        self._scenario = scenario
+
+    def __call__(self) -> str:
+        """Return it, as `dump` does; that is no use of the scenario's keys."""
+        return self._text
+
+    @cached_property
+    def _text(self) -> str:
+        with unrecorded():
+            return dump(self._scenario)
 
 
 def place_of_key(error: str, name_or_path: str | Path, overrides: Sequence[str] = ()) -> str:

@@ -6,24 +6,19 @@ signs.
 
 from __future__ import annotations
 
-import hashlib
 import math
-import os
-import sys
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import asdict, replace
-from functools import lru_cache, partial, wraps
+from functools import partial
 from pathlib import Path
-from typing import Any, Concatenate, ParamSpec, TypeVar
+from typing import Any
 
 import jsbsim
 
-from testbed.airframes.airframe_validation import MAX_BYTES, has_planet, probe_in_copy
+from testbed.airframes.airframe_validation import has_planet, probe_in_copy
 from testbed.airframes.inertia import impossible_inertia, unlikely_inertia
 from testbed.airframes.powerplant import AircraftError
-from testbed.core.errors import InputError
-from testbed.core.input_files import open_regular
 from testbed.core.records import Airframe, NedOrigin
 from testbed.vehicle.airframe_measurement import (
     SLOWEST_PROBE,
@@ -34,6 +29,7 @@ from testbed.vehicle.airframe_measurement import (
 )
 from testbed.vehicle.control_surfaces import ControlGeometry, find_control_geometry
 from testbed.vehicle.environment import INTEGRATORS, Integrators, load_planet
+from testbed.vehicle.folder_results import cache_by_folder
 from testbed.vehicle.jsbsim_model import JsbsimModel, Traits
 from testbed.vehicle.linearize import Linear, NaturalMode, find_modes, linearize
 from testbed.vehicle.trim import (
@@ -50,56 +46,6 @@ _CRUISE_TRIES = (1.0, 1.25, 0.85, 1.6)  # of the airspeed of CRUISE_LIFT
 # Of an airspeed that does not trim, in the order in which others are tried.
 _OTHER_SPEEDS = (1.05, 0.95, 1.1, 0.9, 1.2, 0.8, 1.4, 0.7, 1.7, 0.5, 2.0, 3.0)
 _SMALLEST_SLOPE = 0.3  # 1/rad, of a lift coefficient; that of a slender delta wing is 1.5
-
-
-_Rest = ParamSpec("_Rest")
-_ResultT = TypeVar("_ResultT")
-_Function = Callable[Concatenate[Path, _Rest], _ResultT]
-
-
-def cache_by_folder(
-    maxsize: int,
-) -> Callable[[_Function[_Rest, _ResultT]], _Function[_Rest, _ResultT]]:
-    """Cache a function of a folder until one of its XML files changes.
-
-    Args:
-        maxsize: number of results.
-    """
-
-    def decorate(function: _Function[_Rest, _ResultT]) -> _Function[_Rest, _ResultT]:
-        @lru_cache(maxsize=maxsize)
-        def cached(_: str, folder: Path, *args: _Rest.args, **kwargs: _Rest.kwargs) -> _ResultT:
-            return function(folder, *args, **kwargs)
-
-        @wraps(function)
-        def call(folder: Path, /, *args: _Rest.args, **kwargs: _Rest.kwargs) -> _ResultT:
-            folder = Path(folder).resolve()
-            return cached(folder_digest(folder), folder, *args, **kwargs)  # type: ignore[arg-type]
-
-        return call
-
-    return decorate
-
-
-def folder_digest(folder: Path) -> str:
-    """Return a digest of all XML files in and below a folder.
-
-    Times and sizes are not enough: an edit can keep both.
-    """
-    content = hashlib.blake2b(digest_size=16)
-    for file in sorted(folder.rglob("*.xml")):
-        data = _read_start(file)
-        content.update(os.fsencode(f"{file.relative_to(folder)}\0{len(data)}\0"))
-        content.update(data)
-    return content.hexdigest()
-
-
-def _read_start(file: Path) -> bytes:
-    """Read an aircraft file up to the size limit; empty if unreadable."""
-    # an error is reported when the aircraft is loaded
-    with suppress(OSError, InputError), open_regular(file, sys.maxsize) as stream:
-        return stream.read(MAX_BYTES + 1)
-    return b""
 
 
 _MAX_TEXT = 300  # characters of a log record
@@ -149,8 +95,6 @@ class JsbsimLogCapture:
 VERSION: str = jsbsim.__version__
 SHARED_FILES = Path(jsbsim.get_default_root_dir())  # with the folders engine and systems
 _TRIM_RATE_HZ = 200
-# By folder and digest of its files.
-_TRAITS: dict[tuple[Path, str], Traits] = {}
 
 
 def trim_aircraft(folder: Path, point: TrimPoint, origin: NedOrigin | None = None) -> TrimResult:
@@ -206,7 +150,7 @@ def find_cruise(folder: Path, airspeed: float | None = None, altitude: float = 4
     raise errors[0]
 
 
-@cache_by_folder(maxsize=64)
+@cache_by_folder(64, kept=Airframe)
 def airframe(folder: Path) -> Airframe:
     """Measure the airframe properties of the aircraft in a folder.
 
@@ -216,7 +160,7 @@ def airframe(folder: Path) -> Airframe:
     return measured_airframe(_load_in_flight(folder))
 
 
-@cache_by_folder(maxsize=64)
+@cache_by_folder(64, kept=ControlGeometry)
 def control_geometry(folder: Path) -> ControlGeometry:
     """Find the control surfaces of the aircraft in a folder."""
     return find_control_geometry(_load_in_flight(folder))
@@ -250,7 +194,7 @@ def modes_of_aircraft(folder: Path, point: TrimPoint, origin: NedOrigin) -> tupl
     return _modes_of_aircraft(folder, point, origin)
 
 
-@cache_by_folder(maxsize=64)
+@cache_by_folder(64)
 def _modes_of_aircraft(
     folder: Path, point: TrimPoint, origin: NedOrigin
 ) -> tuple[NaturalMode, ...]:
@@ -258,7 +202,7 @@ def _modes_of_aircraft(
     return find_modes(linear.a, linear.states)
 
 
-@cache_by_folder(maxsize=256)
+@cache_by_folder(256, kept=TrimResult)
 def _trim_aircraft(folder: Path, point: TrimPoint, origin: NedOrigin) -> TrimResult:
     model = _located(folder, point, origin)
     with error_prefix(folder.name):
@@ -289,7 +233,7 @@ def load(folder: Path, rate_hz: int, integrators: Integrators = INTEGRATORS) -> 
         AircraftError: JSBSim cannot load an aircraft from the folder.
     """
     folder = Path(folder).resolve()
-    traits = _traits(folder)
+    traits = _find_traits(folder)
     return JsbsimModel(load_executive(folder), rate_hz, traits, integrators)
 
 
@@ -300,7 +244,7 @@ def airframe_warnings(folder: Path) -> tuple[str, ...]:
         AircraftError: JSBSim cannot load an aircraft from the folder.
     """
     folder = Path(folder).resolve()
-    traits, found = _traits(folder), list[str]()
+    traits, found = _find_traits(folder), list[str]()
     if traits.unlikely_inertia:
         main = folder / f"{folder.name}.xml"
         found.append(f"{main}: mass_balance: no rigid body has {traits.unlikely_inertia}")
@@ -319,21 +263,19 @@ def probe_airframes(folders: Iterable[Path]) -> None:
     """
     started = {}
     for folder in {Path(each).resolve() for each in folders}:
-        files = folder, folder_digest(folder)
-        if files not in _TRAITS:
+        result = _find_traits.of(folder)
+        if result.find() is None:
             with suppress(AircraftError):
-                started[files] = probe_in_copy(folder, partial(_probe, folder))
-    for files, wait in started.items():
+                started[result] = probe_in_copy(folder, partial(_probe, folder))
+    for result, wait in started.items():
         with suppress(AircraftError):
-            _TRAITS[files] = Traits(**wait())
+            result.keep(Traits(**wait()))
 
 
-def _traits(folder: Path) -> Traits:
+@cache_by_folder(64, kept=Traits)
+def _find_traits(folder: Path) -> Traits:
     """Determine traits in a copy of this process, because JSBSim crashes on invalid aircraft."""
-    files = folder, folder_digest(folder)
-    if files not in _TRAITS:
-        _TRAITS[files] = Traits(**probe_in_copy(folder, partial(_probe, folder))())
-    return _TRAITS[files]
+    return Traits(**probe_in_copy(folder, partial(_probe, folder))())
 
 
 def _probe(folder: Path, on_error: Callable[[str], None]) -> dict[str, Any]:

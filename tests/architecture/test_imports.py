@@ -43,7 +43,10 @@ def imports(path):
     return found
 
 
-IMPORTS = {name: imports(path) for name, path in FILES.items()}
+@functools.cache
+def all_imports():
+    """What each module of the testbed imports."""
+    return {name: imports(path) for name, path in FILES.items()}
 
 
 def within(module, packages):
@@ -52,18 +55,20 @@ def within(module, packages):
 
 def importers(*packages):
     return {
-        name for name, found in IMPORTS.items() if any(within(each, packages) for each in found)
+        name
+        for name, found in all_imports().items()
+        if any(within(each, packages) for each in found)
     }
 
 
 def test_modules_import_without_cycles():
     """Inside packages too, whenever the import is made; `testbed` itself is imported by none."""
     modules = FILES.keys() - {"testbed"}
-    edges = {name: IMPORTS[name] & modules for name in modules}
+    edges = {name: all_imports()[name] & modules for name in modules}
     while leaves := {name for name, needed in edges.items() if not needed - {name}}:
         edges = {name: needed - leaves for name, needed in edges.items() if name not in leaves}
     assert not edges
-    assert not [name for name, found in IMPORTS.items() if "testbed" in found]
+    assert not [name for name, found in all_imports().items() if "testbed" in found]
 
 
 def forbidden(imports):
@@ -78,8 +83,8 @@ def forbidden(imports):
 
 
 def test_packages_import_what_the_table_allows():
-    assert forbidden(IMPORTS) == []
-    upwards = IMPORTS | {"testbed.core.frames": {"testbed.flight.loop"}}  # control
+    assert forbidden(all_imports()) == []
+    upwards = all_imports() | {"testbed.core.frames": {"testbed.flight.loop"}}  # control
     assert forbidden(upwards) == [("testbed.core.frames", "flight")]
 
 
@@ -97,7 +102,9 @@ def test_groups_import_downwards():
 def test_table_allows_no_more_than_is_imported():
     """Nothing is allowed that no module uses; the command line may use everything."""
     for name in packages.PACKAGES.keys() - {"cli"}:
-        inside = [found for module, found in IMPORTS.items() if within(module, [f"testbed.{name}"])]
+        inside = [
+            found for module, found in all_imports().items() if within(module, [f"testbed.{name}"])
+        ]
         used = {
             each.split(".")[1]
             for found in inside
@@ -168,7 +175,7 @@ def test_a_library_is_imported_in_one_place(libraries, module):
 
 def test_only_mit_tables_of_pymavlink_are_imported():
     """Most of the rest is, or imports what is, under the GPL."""
-    named = {each for each in IMPORTS["testbed.mavlink.codec"] if within(each, ["pymavlink"])}
+    named = {each for each in all_imports()["testbed.mavlink.codec"] if within(each, ["pymavlink"])}
     assert named == {"pymavlink.dialects.v20", "pymavlink.dialects.v20.ardupilotmega"}
 
 
@@ -325,13 +332,13 @@ def test_code_is_run_in_known_places_only():
     for package, known in RUNS_CODE.items():
         used = {
             name.removeprefix("testbed.")
-            for name, found in IMPORTS.items()
+            for name, found in all_imports().items()
             if any(within(each, (package,)) and not within(each, harmless) for each in found)
         }
         assert used == known, package
     found = {n for n, path in FILES.items() if CALLS.search(path.read_text(encoding="utf-8"))}
     # sources that `compiled` has written: numbers, and names of its own making
     assert found == {"testbed.core.compile"}
-    assert {n for n, each in IMPORTS.items() if "testbed.core.compile.entry_of_source" in each} == {
-        "testbed.compiled.compiled_aircraft"
-    }
+    assert {
+        n for n, each in all_imports().items() if "testbed.core.compile.entry_of_source" in each
+    } == {"testbed.compiled.compiled_aircraft"}

@@ -262,7 +262,7 @@ class Fingerprint:
 
     def begin(self, info):
         for name in info.__dataclass_fields__:
-            if name not in ("scenario_yaml", "versions"):
+            if name not in ("make_yaml", "versions"):
                 self.add(getattr(info, name))
 
     def observe(self, sample):

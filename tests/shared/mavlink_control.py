@@ -105,7 +105,7 @@ def info(count=1, *, rate_hz=25):
     names = ("leader", *(f"uav{n}" for n in range(1, count)))
     return RunInfo(
         scenario_name="links",
-        scenario_yaml="",
+        make_yaml=str,
         names=names,
         aircraft=("rascal110",) * count,
         wingspan_m=(2.8,) * count,

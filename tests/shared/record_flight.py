@@ -27,7 +27,7 @@ def run_info(followers=3, **changes):
     names = ("leader", *(f"uav{i}" for i in range(1, followers + 1)))
     values = {
         "scenario_name": "synthetic",
-        "scenario_yaml": "scenario: {name: synthetic}  # é\n",
+        "make_yaml": lambda: "scenario: {name: synthetic}  # é\n",
         "names": names,
         "aircraft": ("rascal110",) * len(names),
         "wingspan_m": (2.8,) * len(names),

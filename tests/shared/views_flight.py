@@ -58,7 +58,7 @@ def info(aircraft: int, duration_s: float) -> RunInfo:
     n = aircraft - 1
     return RunInfo(
         scenario_name="made-up",
-        scenario_yaml="",
+        make_yaml=str,
         names=("leader", *(f"uav{k + 1}" for k in range(n))),
         aircraft=("rascal110",) * aircraft,
         wingspan_m=(2.795,) * aircraft,

@@ -16,6 +16,8 @@ from snapshot import check_snapshot
 
 from testbed.airframes import airframe_grammar, airframe_validation, forked_trial
 from testbed.airframes.powerplant import AircraftError
+from testbed.core import kept_results
+from testbed.core.kept_files import Place, open_kept_files
 from testbed.scenario import library
 from testbed.vehicle import jsbsim_adapter
 from testbed.vehicle.jsbsim_adapter import (
@@ -316,8 +318,10 @@ def test_slow_machine_is_no_fault_of_an_aircraft(folder, monkeypatch):
         airframe_validation.probe_in_copy(folder, wait)()
 
 
-def test_traits_are_determined_once_per_content(folder, monkeypatch):
+def test_traits_are_determined_once_per_content(folder, tmp_path, monkeypatch):
     """And again for changed files; errors are raised when the aircraft is loaded."""
+    kept = open_kept_files("kernels-0123456789abcdef", [Place(tmp_path / "kept")])
+    monkeypatch.setattr(kept_results, "kept_files", lambda: kept)
     calls, before = [], set(children(os.getpid()))
 
     def counted(*args):

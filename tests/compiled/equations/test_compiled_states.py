@@ -163,22 +163,19 @@ def test_the_proof_compares_every_number():
 
 
 def test_a_proof_is_kept_for_what_it_depends_on(monkeypatch):
-    """Aircraft, integrators, rate, JSBSim, libraries: for another one it is not used."""
+    """Aircraft, integrators and rate; what else does, each kept result depends on."""
     one, other = compiled("rascal110"), compiled("rascal110", JSBSIM_DEFAULT_INTEGRATORS)
-    names = [proof._file_name(one, 200), proof._file_name(one, 120), proof._file_name(other, 200)]
-    for name, value in (
-        ("VERSION", "1.0"),
-        ("folder_digest", lambda _: "of other files"),
-        ("version", lambda _: "of another library"),
-    ):
-        with monkeypatch.context() as changed:
-            changed.setattr(proof, name, value)
-            names.append(proof._file_name(one, 200))
+    found = []
+    monkeypatch.setattr(proof, "find_result", lambda kind, name, of, make: found.append(of))
+    for aircraft, rate in ((one, 200), (one, 120), (other, 200)):
+        proof.prove_aircraft(aircraft, rate)
+    with monkeypatch.context() as changed:
+        changed.setattr(proof, "folder_digest", lambda _: "of other files")
+        proof.prove_aircraft(one, 200)
     with monkeypatch.context() as changed:
         changed.setattr(one, "source", f"{one.source} ")
-        names.append(proof._file_name(one, 200))
-    assert len(set(names)) == len(names) == 7
-    assert proof._file_name(one, 200) == names[0]
+        proof.prove_aircraft(one, 200)
+    assert len(set(map(repr, found))) == len(found) == 5
     package = Path(proof.__file__).parents[1]
     assert source_digest(package)[:16] in compile_module.cache_folder().name
 

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numba
 import pytest
 from commands import call_command
 from places import ROOT
@@ -40,7 +41,7 @@ import numpy as np
 
 records = allocate(np.dtype([("x", "f8"), ("v", "f8", 3)], align=True), 2)
 step(records)
-hits = sum(step.stats.cache_hits.values()) if hasattr(step, "stats") else "plain"
+hits = sum(step.dispatcher.stats.cache_hits.values()) if hasattr(step, "dispatcher") else "plain"
 print(records["x"].tolist(), hits)
 """
 
@@ -55,7 +56,8 @@ def package(tmp_path):
     (package / "__init__.py").touch()
     core = Path(compiling.__file__).parent
     for module in (
-        *("compile.py", "field_docs.py", "kept_files.py", "machine_code.py", "records.py"),
+        *("compile.py", "field_docs.py", "kept_files.py", "kernel_code.py"),
+        *("machine_code.py", "records.py"),
     ):
         shutil.copy(core / module, package / "core")
     (package / "flight" / "stepping.py").write_text(ENTRY)
@@ -304,7 +306,6 @@ def test_command_flies_from_a_read_only_installation(tmp_path):
 
 
 def test_only_compiling_is_announced_and_once():
-    numba = pytest.importorskip("numba")
     said = []
 
     def first(x):
@@ -319,9 +320,13 @@ def test_only_compiling_is_announced_and_once():
     assert said == ["begin"]
 
 
+def unkept(function):
+    """An entry whose machine code is not kept."""
+    return compiling.CompiledFunction(function, lambda: numba.njit(function))
+
+
 def test_prepared_entries_compile_no_more():
-    numba = pytest.importorskip("numba")
-    step = numba.njit(lambda x, y: x + y)
+    step = unkept(lambda x, y: x + y)
     compiling.prepare([(step, (1.0, 2))])
     assert len(step.signatures) == 1
     assert step(3.0, 4) == 7.0
@@ -329,8 +334,7 @@ def test_prepared_entries_compile_no_more():
 
 
 def test_entries_bound_in_a_block_are_registered():
-    numba = pytest.importorskip("numba")
-    step = numba.njit(lambda x, y: x + y)
+    step = unkept(lambda x, y: x + y)
     with compiling.registering():
         bound = compiling.bind_entry(step, 1.0, like=(2,))
         with compiling.registering():
@@ -344,16 +348,14 @@ def test_entries_bound_in_a_block_are_registered():
 
 
 def test_prepare_counts_equal_entries_once():
-    numba = pytest.importorskip("numba")
-    step, seen = numba.njit(lambda x: x + 1.0), []
+    step, seen = unkept(lambda x: x + 1.0), []
     calls = [(step, (x,)) for x in (1.0, 2.0, 3)]
     compiling.prepare(calls, lambda *progress: seen.append(progress))
     assert seen == [(0, 2), (1, 2), (2, 2)]
 
 
 def test_prepare_stops_between_entries():
-    numba = pytest.importorskip("numba")
-    first, second = numba.njit(lambda x: x + 1.0), numba.njit(lambda x: x - 1.0)
+    first, second = unkept(lambda x: x + 1.0), unkept(lambda x: x - 1.0)
 
     def check():
         if first.signatures:

@@ -13,6 +13,7 @@ import pkgutil
 import types
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import fields, is_dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -93,6 +94,8 @@ def same(one, other):
         return len(one) == len(other) and all(map(same, one, other))
     if isinstance(one, types.FunctionType):
         return one.__code__ == other.__code__
+    if isinstance(one, partial):
+        return same((one.func, one.args), (other.func, other.args))
     if is_dataclass(one):
         return all(same(getattr(one, f.name), getattr(other, f.name)) for f in fields(one))
     if one == other:

@@ -89,7 +89,7 @@ def test_damaged_machine_code_is_compiled_anew(kept, kind, monkeypatch, mark):
 
     def fly():
         entry = compiling.entry(function)
-        return entry(2.0), sum(entry.stats.cache_hits.values())
+        return entry(2.0), sum(entry.dispatcher.stats.cache_hits.values())
 
     assert fly() == (4.5, 0) and fly() == (4.5, 1)
     assert damage(kind, kept.folder) == 1
@@ -113,27 +113,10 @@ def test_machine_code_of_another_entry_is_not_run(kept, monkeypatch):
     content = kept.read(next(kept.folder.glob("*.code")).name)
     monkeypatch.setattr(KeptFiles, "read", lambda self, name: content)
     entry = compiling.entry(step_of(1.5))
-    assert entry(1.0) == 3.0 and not entry.stats.cache_hits
-    assert entry(np.zeros(2)).tolist() == [1.5, 1.5] and entry.stats.cache_hits  # control
-
-
-def test_proof_is_computed_anew(kept, monkeypatch):
-    """Damaged, and where the content is whole and of another kind."""
-    from testbed.compiled import proof
-
-    monkeypatch.setattr(proof, "kept_files", lambda: kept)
-    monkeypatch.setattr(proof, "_file_name", lambda *_: "proof-1")
-    computed = []
-    monkeypatch.setattr(
-        proof, "compare", lambda *_: computed.append(1) or proof.Proof(len(computed))
-    )
-    assert proof.prove_aircraft(None, 100) == proof.prove_aircraft(None, 100) == proof.Proof(1)
-    damage("JSON", kept.folder)
-    assert proof.prove_aircraft(None, 100) == proof.prove_aircraft(None, 100) == proof.Proof(2)
-    for content in (b"", b"[1]", b'{"compared": 1, "other": 2}'):
-        before = len(computed)
-        kept.write("proof-1", content)
-        assert proof.prove_aircraft(None, 100) == proof.Proof(before + 1)
+    assert entry(1.0) == 3.0 and not entry.dispatcher.stats.cache_hits
+    assert (
+        entry(np.zeros(2)).tolist() == [1.5, 1.5] and entry.dispatcher.stats.cache_hits
+    )  # control
 
 
 def test_large_file_is_not_read(kept, monkeypatch):

@@ -23,8 +23,8 @@ import json
 import os
 import sys
 
-from numba.core.dispatcher import Dispatcher
 from testbed.core.call_list import CalledByAddress
+from testbed.core.compile import CompiledFunction
 from testbed.scenario import load_scenario, set_duration
 from testbed.runs import run as runs
 
@@ -32,9 +32,10 @@ from testbed.runs import run as runs
 def signatures():
     modules = [each for name, each in sys.modules.items() if name.startswith("testbed.")]
     functions = {each for module in modules for each in vars(module).values()
-                 if isinstance(each, Dispatcher)}
+                 if isinstance(each, CompiledFunction) and "dispatcher" in vars(each)}
     compiled = [(each, each.signatures) for each in functions]
-    compiled += [(each, each.types) for each in gc.get_objects() if type(each) is CalledByAddress]
+    compiled += [(each, list(each._addresses)) for each in gc.get_objects()
+                 if type(each) is CalledByAddress]
     return {f"{each.__module__}.{each.__qualname__}{of}" for each, all in compiled for of in all}
 
 

@@ -189,13 +189,13 @@ def test_compare_scenario_keys_are_listed(tmp_path):
         dump(load_scenario("simulation-3", changes)) for changes in ((), ("network.delay_s=0.25",))
     ]
     logs = [
-        run(tmp_path / f"{k}", frames(), run_info(scenario_yaml=text))
+        run(tmp_path / f"{k}", frames(), run_info(make_yaml=lambda text=text: text))
         for k, text in enumerate(texts)
     ]
     found = compared(*logs)
     assert found.scenario == ("network.delay_s from 0 to 0.25",)
     assert found.same
-    unread = run(tmp_path / "old", frames(), run_info(scenario_yaml="scenario: {schema: 0}"))
+    unread = run(tmp_path / "old", frames(), run_info(make_yaml=lambda: "scenario: {schema: 0}"))
     [line] = compared(logs[0], unread).scenario
     assert "cannot read" in line
 

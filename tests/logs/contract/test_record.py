@@ -105,8 +105,9 @@ def test_log_read_back_has_run_info(tmp_path):
     info = run_info(directory=tmp_path)
     log = read_log(record(tmp_path / "run.mcap", run_samples(3), info))
     for field in type(info).__annotations__:
-        if field not in ("directory", "leader_path_ned"):
+        if field not in ("directory", "leader_path_ned", "make_yaml"):
             assert getattr(log.info, field) == getattr(info, field), field
+    assert log.info.scenario_yaml == info.scenario_yaml
     np.testing.assert_array_equal(log.info.leader_path_ned, info.leader_path_ned)
     assert log.metadata["seed"] == "7"
     assert log.metadata["version.jsbsim"] == "1.3.3"
@@ -434,7 +435,7 @@ def test_tail_of_another_log_is_not_read(tmp_path, monkeypatch, change, count):
 
     def record_some(name, scenario):
         log = McapRecorder(tmp_path / name)
-        log.begin(run_info(scenario_yaml=scenario))
+        log.begin(run_info(make_yaml=lambda: scenario))
         for sample in run_samples(25):
             log.observe(sample)
         return log

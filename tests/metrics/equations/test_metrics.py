@@ -31,7 +31,7 @@ def run_info(followers=2, windows=None):
     names = ("leader", *(f"uav{i}" for i in range(1, followers + 1)))
     return RunInfo(
         scenario_name="by-hand",
-        scenario_yaml="",
+        make_yaml=str,
         names=names,
         aircraft=("rascal110",) * len(names),
         wingspan_m=(2.8,) * len(names),

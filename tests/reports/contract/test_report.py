@@ -213,7 +213,7 @@ def test_log_without_samples_is_an_error(tmp_path):
         ({"lost_from": 0}, FOLLOWED),
         ({"lost_from": 30, "noisy_from": 10}, FOLLOWED | {"estimates"}),
         ({"events": [event(3), event(9, '<&">', "error")]}, FOLLOWED),
-        ({"info": run_info(windows={}, scenario_name='<i>&"', scenario_yaml="")}, FOLLOWED),
+        ({"info": run_info(windows={}, scenario_name='<i>&"', make_yaml=str)}, FOLLOWED),
         ({"ended": False}, FOLLOWED),
     ],
     ids=["one sample", "alone", "lost at once", "lost", "events", "bare", "cut short"],
