@@ -41,8 +41,15 @@ from testbed.law import command_from_velocity
 
 @testbed.kernel
 def hold(now, own, inbox, memory, config):
+    if not now - inbox.received_s[0] <= config.leader_timeout_s:
+        return command_from_velocity(config, own, own.velocity_ned)
     error = inbox.position_ned[0] + config.offsets[config.agents] - own.position_ned
     return command_from_velocity(config, own, inbox.velocity_ned[0] + 0.1 * error)
+"""
+STUDY = """
+study: {schema: 1, name: start, scenario: simulation-3, duration_s: 20,
+        design: factorial, seeds: SEEDS}
+vary: {network.loss: [0.0, 0.1]}
 """
 SCENARIO = "extends: {scenario}\ncontroller: {{law: 'law.py:hold'}}\n"
 
@@ -79,6 +86,7 @@ class Version(NamedTuple):
             (Path(folder) / "law.py").write_text(LAW)
             scenario = self.tree / "scenarios" / "simulation-3.yaml"
             (Path(folder) / "law.yaml").write_text(SCENARIO.format(scenario=scenario))
+            (Path(folder) / "study.yaml").write_text(STUDY.replace("SEEDS", str([*range(1, 501)])))
             process = subprocess.Popen(
                 [sys.executable, *arguments],
                 cwd=folder,
@@ -118,7 +126,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--before", metavar="REVISION", help="also measure this version, in turns")
     parser.add_argument("--repeats", type=int, default=15)
-    parser.add_argument("--first", type=int, default=3, help="first flights, with nothing compiled")
+    parser.add_argument("--first", type=int, default=3, help="first flights, and sweeps")
+    parser.add_argument("--only", default="", metavar="TEXT", help="commands whose names have it")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     run = ["-m", "testbed", "run", "--quiet", "--out", "run"]
@@ -127,6 +136,10 @@ def main() -> None:
         "testbed run simulation-3 --duration 5": [*run, "simulation-3", "--duration", "5"],
         "testbed run simulation-3": [*run, "simulation-3"],
         "5 s with a kernel law": [*run, "law.yaml", "--duration", "5"],
+        "sweep of 1,000 flights of 20 s, --jobs 1": [
+            *("-m", "testbed", "sweep", "study.yaml", "--jobs", "1", "--quiet"),
+            *("--out", "study.parquet"),
+        ],
     }
     result: dict[str, object] = {}
     with versions(options.before) as found:
@@ -135,17 +148,21 @@ def main() -> None:
         unit = statistics.median(units)
         print(f'N, python -c "import numpy": {unit:.3f} s', flush=True)
         for name, arguments in commands.items():
-            report(name, measure(found, options.repeats, arguments), unit, result)
-        first = measure(
-            found, options.first, commands["testbed run simulation-3 --duration 5"], True
-        )
-        report("first flight of 5 s, with nothing compiled", first, unit, result)
-        further = {name: [] for name in first}
-        for _ in range(options.first):
-            for each in found:
-                printed = each.call(["-c", FURTHER.format(flights=50)]).printed
-                further[each.name].append(Used(float(printed), 0.0, ""))
-        report("each further flight of 5 s in a process", further, unit, result)
+            if options.only in name:
+                repeats = options.first if name.startswith("sweep") else options.repeats
+                report(name, measure(found, repeats, arguments), unit, result)
+        name = "first flight of 5 s, with nothing compiled"
+        if options.only in name:
+            short = commands["testbed run simulation-3 --duration 5"]
+            report(name, measure(found, options.first, short, anew=True), unit, result)
+        name = "each further flight of 5 s in a process"
+        if options.only in name:
+            further = measure(found, options.repeats, ["-c", FURTHER.format(flights=50)])
+            used = {
+                version: [Used(float(each.printed), 0.0, "") for each in processes]
+                for version, processes in further.items()
+            }
+            report(name, used, unit, result)
     if options.json:
         options.json.write_text(json.dumps(result, indent=2) + "\n")
 

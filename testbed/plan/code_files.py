@@ -6,7 +6,7 @@ import ast
 import site
 import sys
 import sysconfig
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import cache
 from itertools import accumulate, chain
@@ -42,13 +42,14 @@ def code_files(name: str) -> tuple[Path, ...]:
     root = _root(module_name, first)
     found: dict[Path, None] = {}
     queue = [first]
+    find = cache(_file_of)  # in this call: files may be added later
     while queue:
         file = queue.pop()
         if file in found:
             continue
         found[file] = None
         loaded = loaded_by(str(origin)) if file == first else ()
-        files = [*_imported(file), *(_file_of(each, file.parent) for each in loaded)]
+        files = [*_imported(file, find), *(find(each, file.parent) for each in loaded)]
         queue += [each for each in files if each is not None and _is_own(each, root)]
     return (first, *sorted(found.keys() - {first}))
 
@@ -98,6 +99,9 @@ def _file_of(module: str, folder: Path) -> Path | None:
     if loaded is not None:
         origin = getattr(loaded, "__file__", None)
         return Path(origin).resolve() if origin else None
+    above = sys.modules.get(module.rpartition(".")[0])
+    if above is not None and not hasattr(above, "__path__"):
+        return None  # a name in a module
     parts = module.split(".")
     for base in (folder, *map(Path, sys.path)):
         if (found := _python_file(base.joinpath(*parts))) is not None:
@@ -114,10 +118,14 @@ def _python_file(path: Path) -> Path | None:
     return None
 
 
-def _imported(file: Path) -> Iterator[Path | None]:
+def _imported(file: Path, find: Callable[[str, Path], Path | None]) -> Iterator[Path | None]:
     """Yield the files of the imports in a file of Python, also names in modules that may be files.
 
     An import also runs the packages that a module is in.
+
+    Args:
+        file: of any kind.
+        find: returns the file of a module that is imported in a folder.
     """
     if file.suffix != ".py":
         return
@@ -133,7 +141,7 @@ def _imported(file: Path) -> Iterator[Path | None]:
             modules = [f"{node.module}.{each.name}" for each in node.names]
         names = (accumulate(each.split("."), "{}.{}".format) for each in modules)
         for name in dict.fromkeys(chain.from_iterable(names)):
-            yield _file_of(name, file.parent)
+            yield find(name, file.parent)
         if isinstance(node, ast.ImportFrom) and node.level:
             base = file.parents[min(node.level, len(file.parents)) - 1]
             module = base.joinpath(*node.module.split(".")) if node.module else base
