@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final, TypeAlias
 
 import numpy as np
@@ -107,6 +107,12 @@ def run_steps(steps: Sequence[Step], now: float) -> None:
             step(now)
         elif step[0](now):
             step[1](now)
+
+
+def steps_if(condition: Call, steps: Sequence[Step]) -> Iterator[Step]:
+    """Yield steps of which those in Python run only where a call returns something but 0."""
+    for step in steps:
+        yield step if isinstance(step, Call | tuple) else (condition, step)
 
 
 class CallList:

@@ -10,6 +10,7 @@ import numpy as np
 
 from testbed.ardupilot.json_physics import MOTION_NUMBERS, pack_motion
 from testbed.ardupilot.sitl_process import stop_processes
+from testbed.core.call_list import Call
 from testbed.core.compile import bind_entry
 from testbed.core.records import (
     BoolArray,
@@ -17,7 +18,6 @@ from testbed.core.records import (
     FbwaCommand,
     Indices,
     Records,
-    fault_state,
     join_names,
 )
 from testbed.flight.vehicles import JsbsimVehicles, Steps
@@ -68,6 +68,7 @@ class ArduPlaneVehicles(JsbsimVehicles):
         self._sent = False  # the state of this tick, to the ArduPlanes
         self._one = {k: np.array([k]) for k in planes}
         self._virtual = np.setdiff1d(fleet.all_rows, list(planes))
+        self._apply_faults: Call | None = None  # None: the scenario has none
 
     def check(self) -> None:
         """Check that the program exists, before anything is started or written.
@@ -158,10 +159,10 @@ class ArduPlaneVehicles(JsbsimVehicles):
         self._raw = self._aircraft["surfaces"][self.rows]
         self._write_outputs()
 
-    def apply_faults(self, now: float) -> None:
-        """See `JsbsimVehicles`; faults act behind the servo outputs of each tick."""
-        super().apply_faults(now)
-        self._faults = fault_state(self._aircraft["faults"][self.rows])
+    def fault_steps(self, *, floating: bool) -> Steps:
+        """See `Vehicles`; faults act behind the servo outputs of each tick, too."""
+        self._apply_faults = self._fault_call()
+        return super().fault_steps(floating=floating)
 
     def remove(self, lost: BoolArray) -> None:
         """See `Vehicles`; the ArduPlane of a lost aircraft is stopped."""
@@ -189,12 +190,12 @@ class ArduPlaneVehicles(JsbsimVehicles):
         for left in reversed(range(ticks)):
             for k, plane in planes:
                 outputs[k] = plane.surfaces(plane.receive_pwm())
-                if self._faults is None:
+                if self._apply_faults is None:
                     self._aircraft["surfaces"][self.rows[k]] = outputs[k]
                     self._step_one(k, plane, left)
-            if self._faults is not None:
+            if self._apply_faults is not None:
                 self._write_outputs()
-                self._apply_actuator_faults(self._faults, self._flow)
+                self._apply_faults(0.0)
                 for k, plane in planes:
                     self._step_one(k, plane, left)
 

@@ -31,7 +31,6 @@ from testbed.core.records import (
     UnicycleCommand,
     Vector,
     VehicleState,
-    fields_of,
 )
 from testbed.flight.vehicles import Steps
 from testbed.formation.compiled_law import (
@@ -124,10 +123,15 @@ class Control:
             if group.law is not None:
                 self._neighbours["used"][group.rows] = True
 
-    @property
-    def has_membership(self) -> bool:
-        """Whether followers respond to declared failures."""
-        return self._membership is not None
+    def membership_call(self, number: int) -> Call | None:
+        """Return the call after which `update_membership` is needed where it returns true.
+
+        Args:
+            number: of the group; None is returned where none responds.
+        """
+        if self._membership is None:
+            return None
+        return self._membership.bind(self.groups[number].rows, self._links)
 
     def update_membership(self, number: int, now: float) -> list[Event]:
         """Step the responses of a group's followers to declared failures; return events.
@@ -139,9 +143,7 @@ class Control:
         membership = self._membership
         if membership is None:
             return []
-        inbox = fields_of(Inbox, self._links)
-        measured_s = np.ascontiguousarray(self._links["measured_s"])
-        events = list(membership.changes(now, self.groups[number].rows, inbox, measured_s))
+        events = list(membership.changes(now, self.groups[number].rows, self._links))
         if events:
             membership.write_neighbours(self._neighbours)
             self._use_all_messages()

@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
+from math import inf, isnan, nan, pi
+from typing import Any
 
 import numpy as np
 
-from testbed.core.records import AirData, Array, BoolArray, Event, FaultState, VehicleState
+from testbed.core.call_list import NOW, Call
+from testbed.core.compile import entry, kernel
+from testbed.core.records import (
+    Array,
+    BoolArray,
+    Event,
+    FaultState,
+    Record,
+    Records,
+    allocate_rows,
+)
 from testbed.scenario.faults import (
     AirspeedBlocked,
     AnyFault,
@@ -24,22 +35,54 @@ from testbed.scenario.faults import (
 )
 from testbed.vehicle.control_surfaces import SURFACES
 
+DEGREES = 180.0 / pi
 SIMULTANEOUS_S = 1e-9  # tolerance within which a time is that of a tick
+
+
+NO_CONDITION = -1
+QUANTITIES = "altitude_m", "airspeed_mps", "bank_deg", "state_of_charge"  # of conditions
+ALTITUDE, AIRSPEED, BANK, CHARGE = range(len(QUANTITIES))
+# What is known of one fault; times in s.
+FAULT = np.dtype(
+    [
+        ("row", "i8"),  # of the aircraft
+        ("at_s", "f8"),  # from which on it may begin
+        ("duration_s", "f8"),  # infinite: to the end of the run
+        ("quantity", "i8"),  # number in QUANTITIES, or NO_CONDITION
+        ("above", "f8"),  # the quantity, where it begins; NaN: see `below`
+        ("below", "f8"),
+        ("declared", "?"),  # the aircraft reports it
+        ("begin_s", "f8"),  # infinite: not yet
+        ("end_s", "f8"),
+        ("begins", "?"),  # at the last look at its condition
+        ("ends", "?"),
+    ],
+    align=True,
+)
 
 
 @dataclass(slots=True)
 class _FaultRecord:
-    """A fault of one aircraft, with the times at which it began and ended."""
+    """A fault of one aircraft."""
 
-    row: int
     fault: AnyFault
-    has_effect: bool = True  # if not, its event has a note
-    begin_s: float = math.inf  # infinite: not yet
-    end_s: float = math.inf
+    has_effect: bool  # if not, its event has a note
+    record: Records  # (1,) of FAULT
+
+    def read(self, name: str) -> Any:  # noqa: ANN401 - a number of any type
+        return self.record[name][0]
+
+    @property
+    def row(self) -> int:
+        return int(self.read("row"))
+
+    @property
+    def begin_s(self) -> float:
+        return float(self.read("begin_s"))
 
     @property
     def active(self) -> bool:
-        return self.begin_s < math.inf and self.end_s == math.inf
+        return self.begin_s < inf and bool(self.read("end_s") == inf)
 
 
 class FaultManager:
@@ -47,7 +90,11 @@ class FaultManager:
 
     Attributes:
         state: the effect of all active faults.
+        records: (K, 1) of FAULT.
+        declared_after_s: from the beginning of a fault until the aircraft declares it.
     """
+
+    ADDRESSES = ("records",)  # the records of each fault are taken over one by one
 
     def __init__(
         self,
@@ -64,20 +111,24 @@ class FaultManager:
             declared_after_s: from the beginning of a fault until the aircraft declares it.
             has_effect: whether a fault affects the aircraft of a row.
         """
-        self._names, self._declared_after_s = names, declared_after_s
+        self._names, self.declared_after_s = names, declared_after_s
         # by aircraft, fault, and how many equal ones precede it: those of a flight that begins as
         # another one correspond to equal ones
-        self._records: dict[tuple[str, AnyFault, int], _FaultRecord] = {}
+        self._by_key: dict[tuple[str, AnyFault, int], _FaultRecord] = {}
+        self.records, alone = allocate_rows(FAULT, sum(map(len, faults)), 1)
         for row, each in enumerate(faults):
             for k, one in enumerate(each):
-                record = _FaultRecord(row, one, has_effect(row, one))
-                self._records[names[row], one, each[:k].count(one)] = record
+                record = alone[len(self._by_key)]
+                record[0] = _first_record(row, one)
+                key = names[row], one, each[:k].count(one)
+                self._by_key[key] = _FaultRecord(one, has_effect(row, one), record)
         self.state = no_faults(len(names))
-        self._discharging = False  # the state empties a battery, which it does at one tick only
+        # the state empties a battery, which it does at one tick only
+        self._discharging: BoolArray = np.zeros(1, dtype=bool)
 
     @property
     def _faults(self) -> Collection[_FaultRecord]:
-        return self._records.values()
+        return self._by_key.values()
 
     @property
     def active(self) -> BoolArray:
@@ -91,58 +142,57 @@ class FaultManager:
         """Whether any fault is of a GPS or an airspeed sensor."""
         return any(isinstance(f.fault, AirspeedBlocked | GpsLost | GpsJump) for f in self._faults)
 
-    def changes(
-        self, now: float, truth: VehicleState, air: Callable[[], AirData], lost: BoolArray
-    ) -> Iterator[Event]:
+    @property
+    def has_floating(self) -> bool:
+        """Whether in any fault a surface floats."""
+        return any(isinstance(f.fault, SurfaceFloating) for f in self._faults)
+
+    @property
+    def reads_batteries(self) -> bool:
+        """Whether any condition is of a battery."""
+        return bool((self.records["quantity"] == CHARGE).any())
+
+    def battery_call(self, aircraft: Records) -> Call:
+        """Return the call after which batteries are to be read where it returns true.
+
+        Args:
+            aircraft: (N,) of AIRCRAFT.
+        """
+        return Call(needs_battery, self.records, aircraft, NOW)
+
+    def bind(self, aircraft: Records) -> Call:
+        """Return the call after which `changes` is needed where it returns true.
+
+        Args:
+            aircraft: (N,) of AIRCRAFT; of lost aircraft no fault begins.
+        """
+        return Call(find_fault_changes, self.records, self._discharging, aircraft, NOW)
+
+    def changes(self, now: float) -> Iterator[Event]:
         """Yield an event for each fault that begins or ends now; update `state`.
 
         Args:
-            now: s.
-            truth: of N aircraft.
-            air: returns air data and batteries; called only where a condition needs them.
-            lost: (N,) aircraft whose faults no longer begin.
+            now: s, of the call of `bind`.
         """
-        if self._discharging:
+        if self._discharging[0]:
             self._update_state(())
-        yield from self._changes(now, truth, air, lost, [])
+        yield from self._changes(now, [])
 
-    def resume(
-        self, now: float, truth: VehicleState, air: Callable[[], AirData], lost: BoolArray
-    ) -> Iterator[Event]:
-        """Yield as `changes`, where beginnings up to now are those of another flight.
-
-        Args:
-            now: s.
-            truth: see `changes`, as what follows.
-            air: see there.
-            lost: see there.
-        """
+    def resume(self, now: float) -> Iterator[Event]:
+        """Yield as `changes`, where beginnings up to now, s, are those of another flight."""
         taken = [each for each in self._faults if each.begin_s == now]
         self._update_state(taken)
-        yield from self._changes(now, truth, air, lost, taken)
+        yield from self._changes(now, taken)
 
-    def _changes(
-        self,
-        now: float,
-        truth: VehicleState,
-        air: Callable[[], AirData],
-        lost: BoolArray,
-        taken: list[_FaultRecord],
-    ) -> Iterator[Event]:
+    def _changes(self, now: float, taken: list[_FaultRecord]) -> Iterator[Event]:
         """Yield as `changes`; `taken` are faults that have begun now already."""
-        at = now + SIMULTANEOUS_S
-        ended = [
-            f
-            for f in self._faults
-            if f.active and at >= f.begin_s + (f.fault.duration_s or math.inf)
-        ]
+        ended = [each for each in self._faults if each.read("ends")]
         for each in ended:
-            each.end_s = now
+            each.record["end_s"] = now
             yield Event(now, "info", self._names[each.row], f"{describe_fault(each.fault)}: ended")
-        begun = [f for f in self._faults if f.begin_s == math.inf and not lost[f.row]]
-        begun = [f for f in begun if at >= (f.fault.at_s or 0.0) and _condition_met(f, truth, air)]
+        begun = [each for each in self._faults if each.read("begins")]
         for each in begun:
-            each.begin_s = now
+            each.record["begin_s"] = now
             text = describe_fault(each.fault)
             text += "" if each.has_effect else ": no effect, because the estimate uses no GPS"
             yield Event(now, "warning", self._names[each.row], text)
@@ -150,21 +200,16 @@ class FaultManager:
             self._update_state([*taken, *begun])
 
     def declared(self, measured_s: Array) -> BoolArray:
-        """Return which messages (..., N) declare a failure of their sender.
+        """Return which messages (M, N) declare a failure of their sender.
 
         An aircraft that has failed declares it in all later messages, also after the fault has
         ended.
 
         Args:
-            measured_s: (..., N) s, times of measurement of the messages' contents.
+            measured_s: (M, N) s, times of measurement of the messages' contents.
         """
         declared: BoolArray = np.zeros(measured_s.shape, dtype=bool)
-        for each in self._faults:
-            long_enough = each.end_s - each.begin_s > self._declared_after_s
-            if each.fault.is_declared and each.begin_s < math.inf and long_enough:
-                time_s = measured_s[..., each.row]
-                since_s = each.begin_s + self._declared_after_s
-                declared[..., each.row] |= since_s <= time_s + SIMULTANEOUS_S
+        write_declared(self.records, self.declared_after_s, measured_s, declared)
         return declared
 
     def _update_state(self, begun: Sequence[_FaultRecord]) -> None:
@@ -174,11 +219,11 @@ class FaultManager:
         for each in sorted(self._faults, key=lambda each: each.begin_s):
             if each.active:
                 _apply(state, each.row, each.fault)
-        self._discharging = False
+        self._discharging[0] = False
         for each in begun:
             if isinstance(each.fault, BatteryLow):
                 state.charge[each.row] = each.fault.state_of_charge
-                self._discharging = True
+                self._discharging[0] = True
         self.state = state
 
 
@@ -257,22 +302,106 @@ def _apply(state: FaultState, row: int, fault: AnyFault) -> None:
             state.transmitter_off[row] = True
 
 
-def _condition_met(record: _FaultRecord, truth: VehicleState, air: Callable[[], AirData]) -> bool:
+def _first_record(row: int, fault: AnyFault) -> tuple[Any, ...]:
+    """Return the values of FAULT of a fault that has not begun, of the aircraft in a row."""
+    quantity, above, below = NO_CONDITION, nan, nan
+    if (when := fault.when) is not None:
+        quantity = QUANTITIES.index(when.quantity)
+        above, below = (nan if limit is None else limit for limit in (when.above, when.below))
+    times = fault.at_s or 0.0, fault.duration_s or inf
+    return row, *times, quantity, above, below, fault.is_declared, inf, inf, False, False
+
+
+@entry
+def find_fault_changes(
+    faults: Records, discharging: BoolArray, aircraft: Records, now: float
+) -> bool:
+    """Write which faults begin and end now.
+
+    Args:
+        faults: (K, 1) of FAULT; `begins` and `ends` are written.
+        discharging: (1,) a battery is emptied by the present state of the faults.
+        aircraft: (N,) of AIRCRAFT.
+        now: s.
+
+    Returns:
+        Whether any begins or ends, or a battery is no longer emptied.
+    """
+    at, found = now + SIMULTANEOUS_S, bool(discharging[0])
+    for k in range(len(faults)):
+        fault = faults[k, 0]
+        begun = fault.begin_s < inf
+        fault.ends = begun and fault.end_s == inf and at >= fault.begin_s + fault.duration_s
+        fault.begins = not begun and _may_begin(fault, aircraft, at)
+        fault.begins = fault.begins and _condition_met(fault, aircraft[fault.row])
+        if fault.begins or fault.ends:
+            found = True
+    return found
+
+
+@entry
+def needs_battery(faults: Records, aircraft: Records, now: float) -> bool:
+    """Return whether a fault (K, 1) of FAULT may begin now, s, by the state of a battery.
+
+    Args:
+        faults: (K, 1) of FAULT.
+        aircraft: (N,) of AIRCRAFT.
+        now: s.
+    """
+    for k in range(len(faults)):
+        fault = faults[k, 0]
+        if fault.quantity == CHARGE and fault.begin_s == inf:
+            if _may_begin(fault, aircraft, now + SIMULTANEOUS_S):
+                return True
+    return False
+
+
+@kernel
+def _may_begin(fault: Record, aircraft: Records, at: float) -> bool:
+    """Return whether a fault begins at a time, s, if it has not, and its condition is met."""
+    return bool(at >= fault.at_s and not aircraft[fault.row].lost)
+
+
+@kernel
+def _condition_met(fault: Record, aircraft: Record) -> bool:
     """Return whether a fault's condition is met; a quantity that is NaN meets none."""
-    condition, row = record.fault.when, record.row
-    if condition is None:
+    value = 0.0
+    if fault.quantity == NO_CONDITION:
         return True
-    value: float
-    match condition.quantity:
-        case "altitude_m":
-            value = -float(truth.position_ned[row, 2])
-        case "airspeed_mps":
-            value = float(truth.airspeed[row])
-        case "bank_deg":
-            value = abs(math.degrees(float(truth.euler[row, 0])))
-        case "state_of_charge":
-            value = float(air().state_of_charge[row])
-    if condition.above is not None:
-        return value > condition.above
-    assert condition.below is not None
-    return value < condition.below
+    if fault.quantity == ALTITUDE:
+        value = -aircraft.truth.position_ned[2]
+    elif fault.quantity == AIRSPEED:
+        value = aircraft.truth.airspeed
+    elif fault.quantity == BANK:
+        value = abs(aircraft.truth.euler[0] * DEGREES)
+    else:
+        value = aircraft.air.state_of_charge
+    return bool(value < fault.below if isnan(fault.above) else value > fault.above)
+
+
+@kernel
+def declares(fault: Record, declared_after_s: float, measured_s: float) -> bool:
+    """Return whether a message declares a fault of its sender.
+
+    Args:
+        fault: record of FAULT.
+        declared_after_s: see `FaultManager`.
+        measured_s: s, time of measurement of the message's content.
+    """
+    if not fault.declared or fault.begin_s == inf:
+        return False
+    if not fault.end_s - fault.begin_s > declared_after_s:
+        return False
+    return bool(fault.begin_s + declared_after_s <= measured_s + SIMULTANEOUS_S)
+
+
+@entry
+def write_declared(
+    faults: Records, declared_after_s: float, measured_s: Array, declared: BoolArray
+) -> None:
+    """Write which messages (M, N) declare a failure of their sender; see `declares`."""
+    for k in range(len(faults)):
+        fault = faults[k, 0]
+        for m in range(len(measured_s)):
+            if declares(fault, declared_after_s, measured_s[m, fault.row]):
+                declared[m, fault.row] = True

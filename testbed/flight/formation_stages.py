@@ -90,10 +90,9 @@ class FormationStages:
         yield Stage(part, StageRate.BROADCAST, "send messages", call=send, then=then)
         yield Stage(part, StageRate.CONTROL, "deliver messages", call=radio.deliver_call)
         for group, members in enumerate(parts.control.groups):
-            if parts.control.has_membership:
-                name = "respond to declared failures"
-                step = self._membership_step(group)
-                yield Stage(part, StageRate.CONTROL, name, then=step, group=group)
+            if (learn := parts.control.membership_call(group)) is not None:
+                name, respond = "respond to declared failures", self._membership_step(group)
+                yield Stage(part, StageRate.CONTROL, name, call=learn, then=respond, group=group)
             name = "step law and middle loop"
             steps = parts.control.steps(group)
             yield from make_stages(part, StageRate.CONTROL, name, steps, group)

@@ -9,10 +9,9 @@ from typing import TypeAlias
 
 import numpy as np
 
-from testbed.core.call_list import NOW, Call, Step, run_steps
+from testbed.core.call_list import NOW, Call, Step, run_steps, steps_if
 from testbed.core.compile import is_interpreted, prepare, registered, registering
 from testbed.core.records import (
-    AirData,
     Event,
     FaultState,
     FormationState,
@@ -26,7 +25,7 @@ from testbed.core.records import (
 )
 from testbed.core.samples import make_sample
 from testbed.core.saved_state import Replayed, take_changes
-from testbed.flight.faults import no_faults
+from testbed.flight.faults import FaultManager, no_faults
 from testbed.flight.formation_stages import FormationStages
 from testbed.flight.monitors import GustMonitor, LossMonitor
 from testbed.flight.observers import EventQueue, Observers
@@ -119,6 +118,9 @@ class Flight:
                 self._events,
                 self._inputs.planned_s,
             )
+        if world.faults is not None:
+            self._battery_steps = tuple(self._read_batteries(world.faults))
+            self._find_faults = world.faults.bind(aircraft)
         self.ending: str | None = None
         records = FlightRecords(aircraft, followers, links)
         self.stages = insert_stages(tuple(self._make_stages()), stages, records)
@@ -179,7 +181,8 @@ class Flight:
                 yield from make_stages(part, StageRate.AUTOPILOT, name, each.wind_steps)
         if world.faults is not None:
             name = "begin and end faults"
-            yield Stage(part, StageRate.AUTOPILOT, name, then=self._change_faults)
+            steps = *self._battery_steps, (self._find_faults, self._change_faults)
+            yield from make_stages(part, StageRate.AUTOPILOT, name, steps)
         if self._exact:
             name = "copy the truth to the estimates"
             yield Stage(part, StageRate.TICK, name, call=Call(copy_truth, aircraft))
@@ -223,7 +226,8 @@ class Flight:
             yield Stage(part, rate, name, then=self._collect_messages)
         if world.faults is not None:
             for vehicles in world.vehicles:
-                yield from make_stages(part, rate, "apply actuator faults", vehicles.fault_steps)
+                steps = vehicles.fault_steps(floating=world.faults.has_floating)
+                yield from make_stages(part, rate, "apply actuator faults", steps)
         for vehicles in world.vehicles:
             yield from make_stages(part, rate, "give surfaces to models", vehicles.output_steps)
         proximity = world.proximity
@@ -345,8 +349,8 @@ class Flight:
         if self._world.faults is None:
             self._apply_faults(no_faults(len(self._world.names)))
         else:
-            known = self._truth, self._read_air, self._losses.lost
-            self._events += self._world.faults.resume(now, *known)
+            run_steps((*self._battery_steps, self._find_faults), now)
+            self._events += self._world.faults.resume(now)
             self._apply_faults(self._world.faults.state)
 
     def add_event(self, event: Event) -> None:
@@ -468,10 +472,17 @@ class Flight:
         exceeded = world.envelope.outcome
         return exceeded if exceeded != "completed" else world.proximity.outcome
 
+    def _read_batteries(self, faults: FaultManager) -> Iterator[Step]:
+        """Yield what reads batteries for conditions of faults."""
+        if faults.reads_batteries:
+            call = faults.battery_call(self._world.aircraft)
+            for vehicles in self._world.vehicles:
+                yield from steps_if(call, vehicles.air_steps)
+
     def _change_faults(self, now: float) -> None:
-        faults, lost = self._world.faults, self._losses.lost
+        faults = self._world.faults
         assert faults is not None, "a stage of flights with faults"
-        self._events += faults.changes(now, self._truth, self._read_air, lost)
+        self._events += faults.changes(now)
         self._apply_faults(faults.state)
 
     def _apply_faults(self, state: FaultState) -> None:
@@ -537,9 +548,3 @@ class Flight:
             world.air.remove(lost)
         if self._formation is not None:
             self._formation.remove(lost)
-
-    def _read_air(self) -> AirData:
-        """Read the flight models; the wind is that of the records, sampled at this tick."""
-        for vehicles in self._world.vehicles:
-            run_steps(vehicles.air_steps, 0.0)
-        return self._sample.air

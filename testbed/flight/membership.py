@@ -7,14 +7,16 @@ first such message that it receives. A leader that fails stays the leader.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from math import isnan, nan, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.core.compile import bind_entry
-from testbed.core.records import Array, BoolArray, Event, Inbox, Records
-from testbed.core.velocity_frame import write_frames
-from testbed.flight.faults import FaultManager
+from testbed.core.call_list import NOW, Call
+from testbed.core.compile import entry, kernel
+from testbed.core.records import Array, BoolArray, Event, Indices, Records
+from testbed.core.velocity_frame import frame_angles, to_ned
+from testbed.flight.faults import FaultManager, declares
 from testbed.formation.control_step import set_gains
 
 
@@ -56,9 +58,6 @@ class FormationMembership:
         self._clear: BoolArray = np.zeros_like(self.known)  # known to be clear of their slots
         self.left: BoolArray = np.zeros(n, dtype=bool)
         self._slots = np.tile(np.arange(n + 1), (n, 1))  # (n, N) of each aircraft, by follower
-        if clearance_m is not None:
-            self._frame = np.empty((1, 3, 3))  # of the leader's velocity
-            self._write_frame = bind_entry(write_frames, like=(np.empty((1, 3)), self._frame))
 
     @property
     def slots(self) -> NDArray[np.intp]:
@@ -74,19 +73,17 @@ class FormationMembership:
     def changes(
         self,
         now: float,
-        rows: NDArray[np.intp],
-        inbox: Inbox,
-        measured_s: Array,
+        rows: Indices,
+        links: Records,
     ) -> Iterator[Event]:
         """Yield an event for each failure learnt and each response; update the slots.
 
         Args:
             now: s.
             rows: (m,) followers that step now.
-            inbox: (n, N) newest messages.
-            measured_s: (n, N) s, times of measurement of their contents.
+            links: (n, N) of LINK, with the newest messages.
         """
-        known = self.known[rows] | self._faults.declared(measured_s[rows])
+        known = self.known[rows] | self._faults.declared(links["measured_s"][rows])
         known[np.arange(len(rows)), rows + 1] = known[:, 0] = False
         for at, m in np.argwhere(known & ~self.known[rows]).tolist():
             row = int(rows[at])
@@ -96,16 +93,12 @@ class FormationMembership:
             yield self._event(now, row, f"{self._names[m]} has failed{response}")
         if self._clearance_m is None:
             return
-        failed = self._faults.declared(np.full(len(self._names), now))[rows + 1]
+        failed = self._faults.declared(np.full((1, len(self._names)), now))[0, rows + 1]
         for row in rows[failed & ~self.left[rows]].tolist():
             self.left[row] = True
             yield self._event(now, row, "leaves the formation")
         for row, m in np.argwhere(self.known & ~self._clear).tolist():
-            if (
-                row in rows
-                and not self.left[row]
-                and self._is_clear(row, m, inbox, measured_s[row])
-            ):
+            if row in rows and not self.left[row] and self._is_clear(row, m, links):
                 self._clear[row, m] = True
                 before = self.slots[row]
                 self._reassign(row)
@@ -116,15 +109,24 @@ class FormationMembership:
     def _event(self, now: float, row: int, text: str) -> Event:
         return Event(now, "warning", self._names[row + 1], text)
 
-    def _is_clear(self, row: int, m: int, inbox: Inbox, measured_s: Array) -> bool:
+    def bind(self, rows: Indices, links: Records) -> Call:
+        """Return the call after which `changes` is needed where it returns true.
+
+        Args:
+            rows: (m,) followers that step together.
+            links: (n, N) of LINK.
+        """
+        faults = self._faults.records, self._faults.declared_after_s
+        clearance_m = nan if self._clearance_m is None else self._clearance_m
+        slots = self._slots, self._offsets, clearance_m
+        return Call(
+            find_failures, rows, *faults, self.known, self._clear, self.left, *slots, links, NOW
+        )
+
+    def _is_clear(self, row: int, m: int, links: Records) -> bool:
         """Return whether an aircraft m was clear of its slot at its newest message."""
-        velocity = inbox.velocity_ned[row, 0]
-        leader = inbox.position_ned[row, 0] + velocity * (measured_s[m] - measured_s[0])
-        offset = self._offsets[self._slots[row, m]]
-        self._write_frame(np.ascontiguousarray(velocity[np.newaxis]), self._frame)
-        slot = leader + self._frame[0] @ offset
-        distance = float(np.linalg.norm(inbox.position_ned[row, m] - slot))
-        return distance > (self._clearance_m or 0.0)
+        slot = self._offsets[self._slots[row, m]]
+        return bool(is_clear_in(links, row, m, slot, self._clearance_m or 0.0))
 
     def _reassign(self, row: int) -> None:
         """Assign the first free slots to the remaining aircraft, by one follower's messages."""
@@ -143,3 +145,80 @@ class FormationMembership:
             gains[row, self.known[row]] = 0.0
         set_gains(neighbours, gains)
         neighbours["excluded"] = self.known | self.left[:, np.newaxis]
+
+
+@entry
+def find_failures(
+    rows: Indices,
+    faults: Records,
+    declared_after_s: float,
+    known: BoolArray,
+    clear: BoolArray,
+    left: BoolArray,
+    slots: Indices,
+    offsets: Array,
+    clearance_m: float,
+    links: Records,
+    now: float,
+) -> bool:
+    """Return whether a follower learns of a failure, leaves the formation, or finds a slot clear.
+
+    Args:
+        rows: (m,) of the followers that step now.
+        faults: (K, 1) of FAULT.
+        declared_after_s: see `FaultManager`.
+        known: (n, N) failures that each follower has received.
+        clear: (n, N) of these, aircraft that have been clear of their slots.
+        left: (n,) followers that have left the formation.
+        slots: (n, N) of each aircraft, by follower.
+        offsets: (N, 3) m of the slots.
+        clearance_m: see `FormationMembership`; NaN: slots are not reassigned.
+        links: (n, N) of LINK.
+        now: s.
+    """
+    for row in rows:
+        for k in range(len(faults)):
+            fault = faults[k, 0]
+            m = fault.row
+            if m == row + 1:
+                leaves = not isnan(clearance_m) and not left[row]
+                if leaves and declares(fault, declared_after_s, now):
+                    return True
+            elif m > 0 and not known[row, m]:
+                if declares(fault, declared_after_s, links[row, m].measured_s):
+                    return True
+        if isnan(clearance_m) or left[row]:
+            continue
+        for m in range(known.shape[1]):
+            if known[row, m] and not clear[row, m]:
+                if is_clear(links, row, m, offsets[slots[row, m]], clearance_m):
+                    return True
+    return False
+
+
+@kernel
+def is_clear(links: Records, row: int, m: int, offset: Array, clearance_m: float) -> bool:
+    """Return whether an aircraft was clear of its slot at its newest message.
+
+    Args:
+        links: (n, N) of LINK.
+        row: of the follower that has received the message.
+        m: the aircraft.
+        offset: (3,) m of its slot.
+        clearance_m: see `FormationMembership`.
+    """
+    leader, other = links[row, 0], links[row, m]
+    x, y, z = leader.velocity_ned
+    later_s = other.measured_s - leader.measured_s
+    slot = to_ned(frame_angles(x, y, z), offset[0], offset[1], offset[2])
+    square = 0.0
+    for axis in range(3):
+        at = leader.position_ned[axis] + leader.velocity_ned[axis] * later_s + slot[axis]
+        square += (other.position_ned[axis] - at) ** 2
+    return sqrt(square) > clearance_m
+
+
+@entry
+def is_clear_in(links: Records, row: int, m: int, offset: Array, clearance_m: float) -> bool:
+    """See `is_clear`."""
+    return bool(is_clear(links, row, m, offset, clearance_m))

@@ -12,24 +12,20 @@ import numpy as np
 
 from testbed.autopilot.fbwa import fly_by_wire_a, settled_autopilots
 from testbed.autopilot.parameters import AutopilotTiming, FbwaParams, make_gains
-from testbed.core.call_list import Call, Step, run_steps
+from testbed.core.call_list import Call, Step, run_steps, steps_if
 from testbed.core.compile import entry
 from testbed.core.copies import copy_motion
 from testbed.core.records import (
     MOTION,
-    ActuatorCommand,
     Array,
     BoolArray,
-    FaultState,
     Indices,
     Records,
     allocate,
-    fault_state,
-    fields_of,
 )
 from testbed.guidance.recorded_path import SampledTrajectory
-from testbed.vehicle.control_surfaces import Servos, apply_actuator_faults, initial_servos
-from testbed.vehicle.fleet import FlightModels, Move, write_fields_at
+from testbed.vehicle.control_surfaces import SERVO, any_floats, apply_actuator_faults, keep_flow
+from testbed.vehicle.fleet import FlightModels, Move
 from testbed.vehicle.unicycle import advance, is_finite, stop_unicycles, write_motion
 
 Steps: TypeAlias = tuple[Step, ...]
@@ -44,8 +40,14 @@ class Vehicles(Protocol):
     air_steps: Steps  # write `air` of the records; the same at every call of a tick
     wind_steps: Steps  # use `wind` of the records from now on; at the autopilot rate
     autopilot_steps: Steps  # compute `surfaces` from `command`; at the autopilot rate
-    fault_steps: Steps  # apply `faults` to `surfaces`, after these
     output_steps: Steps  # use `surfaces` of the records from now on; at the autopilot rate
+
+    def fault_steps(self, *, floating: bool) -> Steps:
+        """Return the steps that apply `faults` to `surfaces`, after those of the autopilots.
+
+        Args:
+            floating: surfaces may float.
+        """
 
     def steering_steps(self, followers: Records, leader: LeaderInput) -> Steps:
         """Return the steps that set the inputs of extended unicycles; at the control rate.
@@ -91,11 +93,8 @@ class JsbsimVehicles:
         self.air_steps: Steps = fleet.air_steps
         self.wind_steps: Steps = (fleet.write_wind,)
         self.autopilot_steps: Steps = (self._fly,)
-        self.fault_steps: Steps = (self.apply_faults,)
         self.output_steps: Steps = (fleet.write_surfaces,)
-        self._servos: Servos | None = None
-        self._faults: FaultState | None = None
-        self._zero_flow = self._flow = np.zeros((len(rows), 2))
+        self._servos = allocate(SERVO, len(rows))
 
     def retune(self, row: int, params: FbwaParams) -> None:
         """Set the parameters of the autopilot in a row of the fleet; its state stays."""
@@ -117,27 +116,23 @@ class JsbsimVehicles:
         """Step the autopilots, and give their surfaces to the flight models."""
         run_steps((*self.autopilot_steps, *self.output_steps), 0.0)
 
-    def apply_faults(self, now: float) -> None:
-        """Apply `faults` of the records to `surfaces`."""
-        fleet, rows = self.fleet, self.rows
-        faults = fault_state(self._aircraft["faults"][rows])
-        self._flow = self._zero_flow
-        if faults.floating.any():
-            air = fleet.air()
-            self._flow = np.stack((air.alpha, air.beta), axis=1)
-        self._apply_actuator_faults(faults, self._flow)
-        fleet.discharge(faults.charge)
+    def fault_steps(self, *, floating: bool) -> Steps:
+        """See `Vehicles`."""
+        steps = list[Step]()
+        if floating:
+            floats = Call(any_floats, self.rows, self._aircraft)
+            keep = Call(keep_flow, self.rows, self._aircraft, self._servos)
+            steps += *steps_if(floats, self.air_steps), keep
+        return (*steps, (self._fault_call(), self._drain_batteries))
 
-    def _apply_actuator_faults(self, faults: FaultState, flow: Array) -> None:
-        """Turn servo outputs in the records into the state of surfaces and motors."""
-        fleet = self.fleet
-        surfaces = fields_of(ActuatorCommand, self._aircraft["surfaces"])
-        before = self._servos or initial_servos(fleet.trimmed, fleet.geometry)
-        outputs = ActuatorCommand(*(each[self.rows] for each in surfaces))
-        actuators, self._servos = apply_actuator_faults(
-            outputs, before, faults, flow, fleet.geometry
-        )
-        write_fields_at(self._aircraft, self.rows, "surfaces", actuators)
+    def _fault_call(self) -> Call:
+        """Return what turns servo outputs in the records into the state of surfaces and motors."""
+        trimmed = np.stack(self.fleet.trimmed, axis=1)
+        records = self.rows, self._aircraft, self._servos
+        return Call(apply_actuator_faults, *records, trimmed, *self.fleet.geometry)
+
+    def _drain_batteries(self, now: float) -> None:
+        self.fleet.discharge(self._aircraft["faults"]["charge"][self.rows])
 
     def remove(self, lost: BoolArray) -> None:
         """See `Vehicles`."""
@@ -169,12 +164,15 @@ class UnicycleVehicles:
         self.air_steps: Steps = ()
         self.wind_steps: Steps = ()
         self.autopilot_steps: Steps = ()
-        self.fault_steps: Steps = ()
         self.output_steps: Steps = ()
         air = aircraft["air"]
         for name in ("state_of_charge", "battery_voltage"):
             air[name][rows] = np.nan
         write_motion(unicycles, rows, aircraft)
+
+    def fault_steps(self, *, floating: bool) -> Steps:
+        """Return nothing: there are no servos."""
+        return ()
 
     def steering_steps(self, followers: Records, leader: LeaderInput) -> Steps:
         """See `Vehicles`."""
@@ -248,7 +246,6 @@ class ScriptedVehicle:
         self.air_steps: Steps = ()
         self.wind_steps: Steps = ()
         self.autopilot_steps: Steps = ()
-        self.fault_steps: Steps = ()
         self.output_steps: Steps = ()
 
     def bind(self, aircraft: Records) -> None:
@@ -272,6 +269,10 @@ class ScriptedVehicle:
         truth["equivalent_airspeed"] = equivalent_airspeed
         self._script["throttle"][:count] = track.throttle
         self._next[:] = 0, count
+
+    def fault_steps(self, *, floating: bool) -> Steps:
+        """Return nothing: the motion is given."""
+        return ()
 
     def steering_steps(self, followers: Records, leader: LeaderInput) -> Steps:
         """Return nothing: the motion is given."""

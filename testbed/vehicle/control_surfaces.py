@@ -17,19 +17,22 @@ Rascal at 19 m/s, whose shaft power is proportional to the throttle, and with 1.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from math import inf, isnan
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from testbed.core.compile import entry, kernel
 from testbed.core.errors import InputError
-from testbed.core.records import ActuatorCommand, Array, BoolArray, FaultState
+from testbed.core.records import ACTUATORS, Array, BoolArray, Indices, Record, Records
 from testbed.vehicle.trim import STILL, Controls, Placement
 
 SURFACES = ("aileron", "elevator", "rudder", "left-elevon", "right-elevon")
+_LEFT_ELEVON = 3  # the column, before that of the right one
 # Deflection of a floating surface per angle of attack and per sideslip: trailing edges move with
 # the flow, up in air from below and left in air from the right; ailerons both up, without a
 # rolling moment.
-_FLOW_DEFLECTION = np.array([[0.0, 1.0, 0.0, 1.0, 1.0], [0.0, 0.0, -1.0, 0.0, 0.0]])
+_FLOW_DEFLECTION = (0.0, 1.0, 0.0, 1.0, 1.0), (0.0, 0.0, -1.0, 0.0, 0.0)
 
 
 class ControlGeometry(NamedTuple):
@@ -55,80 +58,139 @@ class SurfaceModel(Protocol):
         """Return the deflections (5,) of the surfaces, rad ≥ 0; 0 where unknown."""
 
 
-class Servos(NamedTuple):
-    """State of the servos of N aircraft between two periods."""
+# The servos of one aircraft between two periods.
+SERVO = np.dtype(
+    [
+        ("commanded", ACTUATORS),  # last command; of frozen autopilots, that before they froze
+        ("positions", "f8", (len(SURFACES),)),  # -1..1 of the surfaces
+        ("flow", "f8", (2,)),  # angle of attack and sideslip, rad, that surfaces float in
+        ("known", "?"),  # false: they are those of trimmed flight
+    ],
+    align=True,
+)
 
-    commanded: ActuatorCommand  # (N) last command; of frozen autopilots, that before they froze
-    positions: Array  # (N, 5) -1..1 of the surfaces
+
+@entry
+def keep_flow(rows: Indices, aircraft: Records, servos: Records) -> None:
+    """Write the flow at each aircraft, in which its surfaces float until the next call.
+
+    Args:
+        rows: (M,) of the flight models among the aircraft.
+        aircraft: (N,) of AIRCRAFT, with the air data of this tick.
+        servos: (M,) of SERVO; `flow` is written.
+    """
+    for k in range(len(rows)):
+        air = aircraft[rows[k]].air
+        servos[k].flow[0], servos[k].flow[1] = air.alpha, air.beta
 
 
-def initial_servos(surfaces: ActuatorCommand, geometry: ControlGeometry) -> Servos:
-    """Return servos of N aircraft at their commanded positions."""
-    return Servos(surfaces, _positions(surfaces, geometry))
+@entry
+def any_floats(rows: Indices, aircraft: Records) -> bool:
+    """Return whether a surface floats of the aircraft (N,) of AIRCRAFT in these rows (M,)."""
+    for k in range(len(rows)):
+        for column in range(len(SURFACES)):
+            if aircraft[rows[k]].faults.floating[column]:
+                return True
+    return False
 
 
+@entry
 def apply_actuator_faults(
-    surfaces: ActuatorCommand,
-    before: Servos,
-    faults: FaultState,
-    flow: Array,
-    geometry: ControlGeometry,
-) -> tuple[ActuatorCommand, Servos]:
-    """Apply the faults of servos and motors of N aircraft for one period.
+    rows: Indices,
+    aircraft: Records,
+    servos: Records,
+    trimmed: Array,
+    fitted: BoolArray,
+    mixing: Array,
+    up: Array,
+    down: Array,
+) -> bool:
+    """Turn commands of autopilots into the state of surfaces and motors, for one period.
 
     A stuck surface without a given position stays where it was in the period before; a surface that
     is stuck does not float. A floating surface follows the flow at once, within its travel. Where
     no surface has failed the commands are unchanged, to the bit.
 
     Args:
-        surfaces: commands of the autopilots (N).
-        before: returned by the period before, or `initial_servos(surfaces, geometry)`.
-        faults: active faults (N).
-        flow: (N, 2) angle of attack and sideslip, rad.
-        geometry: of the surfaces.
+        rows: (M,) of the flight models among the aircraft.
+        aircraft: (N,) of AIRCRAFT, with active faults; `surfaces` is read and written.
+        servos: (M,) of SERVO; written, for the next period.
+        trimmed: (M, 4) aileron, elevator, rudder and throttle before the first period.
+        fitted: (M, 5) see `ControlGeometry`, as what follows.
+        mixing: (M,)
+        up: (M, 5) rad
+        down: (M, 5) rad
 
     Returns:
-        The commands that reach surfaces and motors, and the servos for the next period.
+        Whether a battery drops now.
     """
-    commanded = ActuatorCommand(
-        *(
-            np.where(faults.frozen, old, new)
-            for old, new in zip(before.commanded, surfaces, strict=True)
-        )
+    drops = False
+    for k in range(len(rows)):
+        a, servo = aircraft[rows[k]], servos[k]
+        surfaces, faults, last = a.surfaces, a.faults, servo.commanded
+        if not servo.known:
+            servo.known = True
+            last.aileron, last.elevator = trimmed[k, 0], trimmed[k, 1]
+            last.rudder, last.throttle = trimmed[k, 2], trimmed[k, 3]
+            _write_positions(last, mixing[k], servo.positions)
+        if not faults.frozen:
+            last.aileron, last.elevator = surfaces.aileron, surfaces.elevator
+            last.rudder, last.throttle = surfaces.rudder, surfaces.throttle
+        mixed = _move_servos(servo, faults, fitted[k], mixing[k], up[k], down[k])
+        positions = servo.positions
+        surfaces.aileron, surfaces.elevator = positions[0], positions[1]
+        if mixed:
+            reach = 2.0 * mixing[k]
+            surfaces.aileron = (positions[4] - positions[3]) / reach
+            surfaces.elevator = (positions[4] + positions[3]) / reach
+        surfaces.rudder = positions[2]
+        surfaces.throttle = last.throttle * faults.power
+        if not isnan(faults.charge):
+            drops = True
+    return drops
+
+
+@kernel
+def _move_servos(
+    servo: Record, faults: Record, fitted: BoolArray, mixing: float, up: Array, down: Array
+) -> bool:
+    """Move the surfaces of one aircraft that can move; return whether an elevon has failed."""
+    before = (
+        *(servo.positions[0], servo.positions[1], servo.positions[2]),
+        *(servo.positions[3], servo.positions[4]),
     )
-    positions = _positions(commanded, geometry)
-    stuck, floating = faults.stuck & geometry.fitted, faults.floating & geometry.fitted
-    failed = stuck | floating
-    if failed.any():
-        positions = np.where(floating, _floating(faults.floats, flow, geometry), positions)
-        held = np.where(np.isnan(faults.stuck_at), before.positions, faults.stuck_at)
-        positions = np.where(stuck, held, positions)
-    aileron, elevator, rudder, left, right = positions.T
-    mixed = failed[:, 3:].any(axis=1)
-    reach = 2.0 * geometry.mixing
-    return ActuatorCommand(
-        aileron=np.where(mixed, (right - left) / reach, aileron),
-        elevator=np.where(mixed, (right + left) / reach, elevator),
-        rudder=rudder.copy(),
-        throttle=commanded.throttle * faults.power,
-    ), Servos(commanded, positions)
+    _write_positions(servo.commanded, mixing, servo.positions)
+    elevon_failed = False
+    for column in range(len(before)):
+        if not fitted[column] or not (faults.stuck[column] or faults.floating[column]):
+            continue
+        if faults.stuck[column]:
+            at = faults.stuck_at[column]
+            servo.positions[column] = before[column] if isnan(at) else at
+        else:
+            along = _FLOW_DEFLECTION[0][column], _FLOW_DEFLECTION[1][column]
+            # 0 is not −0 in the log
+            angle = 0.0 + servo.flow[0] * along[0] + servo.flow[1] * along[1]
+            angle *= faults.floats[column]
+            travel = up[column] if angle > 0.0 else down[column]
+            servo.positions[column] = _clip(angle / travel if travel > 0.0 else angle / inf)
+        if column >= _LEFT_ELEVON:
+            elevon_failed = True
+    return elevon_failed
 
 
-def _positions(surfaces: ActuatorCommand, geometry: ControlGeometry) -> Array:
-    """Return the commanded positions (N, 5) of the surfaces."""
-    aileron, elevator, rudder, _ = surfaces
-    left = np.clip(geometry.mixing * (elevator - aileron), -1.0, 1.0)
-    right = np.clip(geometry.mixing * (elevator + aileron), -1.0, 1.0)
-    return np.stack([aileron, elevator, rudder, left, right], axis=1)
+@kernel
+def _write_positions(command: Record, mixing: float, positions: Array) -> None:
+    """Write the commanded positions (5,) of the surfaces of one aircraft."""
+    positions[0], positions[1], positions[2] = command.aileron, command.elevator, command.rudder
+    positions[3] = _clip(mixing * (command.elevator - command.aileron))
+    positions[4] = _clip(mixing * (command.elevator + command.aileron))
 
 
-def _floating(floats: Array, flow: Array, geometry: ControlGeometry) -> Array:
-    """Return the positions (N, 5) of floating surfaces, as commands."""
-    angle = floats * (flow @ _FLOW_DEFLECTION)
-    travel = np.where(angle > 0.0, geometry.up, geometry.down)
-    # columns of missing surfaces are computed too; for others a travel of 0 is an input error
-    command: Array = np.clip(angle / np.where(travel > 0.0, travel, np.inf), -1.0, 1.0)
-    return command
+@kernel
+def _clip(value: float) -> float:
+    """Return a position within −1 and 1; NaN stays NaN."""
+    return -1.0 if value < -1.0 else (1.0 if value > 1.0 else value)
 
 
 def check_faults(
@@ -217,5 +279,5 @@ def stack_geometry(each: Sequence[ControlGeometry]) -> ControlGeometry:
 def _unknown_travel(geometry: ControlGeometry, row: int, surface: str) -> bool:
     """Return whether the needed travel of a surface is unknown; a floating aileron needs none."""
     column = SURFACES.index(surface)
-    moves = bool(_FLOW_DEFLECTION[:, column].any())
+    moves = any(each[column] for each in _FLOW_DEFLECTION)
     return moves and not (geometry.up[row, column] > 0.0 and geometry.down[row, column] > 0.0)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from testbed.core.records import VehicleState
+from testbed.core.records import AIRCRAFT, VehicleState, allocate, write_fields
 from testbed.flight.faults import FaultManager
 
 NAMES = ["leader", "uav1", "uav2", "uav3"]
@@ -16,10 +16,6 @@ def truth(altitude=100.0, airspeed=20.0, bank=0.0):
     return state
 
 
-def no_air():
-    raise AssertionError("air data are not needed")
-
-
 def fault_manager(*faults, row=2, declared_after_s=2.0):
     """Return a manager with faults of one aircraft, by default uav2."""
     each = [[], [], [], []]
@@ -27,7 +23,12 @@ def fault_manager(*faults, row=2, declared_after_s=2.0):
     return FaultManager(NAMES, each, declared_after_s)
 
 
-def step(manager, now, state=None):
+def step(manager, now, state=None, *, lost=NONE_LOST, charge=np.nan):
     """Step a manager; return its events."""
-    events = manager.changes(now, truth() if state is None else state, no_air, NONE_LOST)
-    return [(e.time_s, e.level, e.source, e.text) for e in events]
+    aircraft = allocate(AIRCRAFT, 4)
+    write_fields(aircraft["truth"], truth() if state is None else state)
+    aircraft["lost"], aircraft["air"]["state_of_charge"] = lost, charge
+    changes = manager.bind(aircraft)(now)
+    events = [(e.time_s, e.level, e.source, e.text) for e in manager.changes(now)]
+    assert changes or not events
+    return events

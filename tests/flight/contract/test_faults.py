@@ -10,7 +10,6 @@ from typer.testing import CliRunner
 import testbed
 from testbed.cli.main import app
 from testbed.core.errors import InputError
-from testbed.core.records import AirData, VehicleState, fields_of
 from testbed.core.velocity_frame import velocity_frame
 from testbed.plan.world import build
 from testbed.scenario import load_scenario, loads
@@ -281,9 +280,8 @@ def test_slot_stays_taken_while_it_is_not_clear():
 def neighbours_after_failure(*changes):
     """Return the NEIGHBOUR records before a failure of uav1 and after all know of it."""
     world = build(scenario(*changes))
-    truth = fields_of(VehicleState, world.aircraft["truth"])
-    for _ in world.faults.changes(1.0, truth, no_air, np.zeros(4, dtype=bool)):
-        pass
+    assert world.faults.bind(world.aircraft)(1.0)
+    assert list(world.faults.changes(1.0))
     # all receive the same messages, and uav1 is far below its slot
     for name in ("position_ned", "velocity_ned"):
         world.links[name] = world.aircraft["truth"][name]
@@ -292,10 +290,6 @@ def neighbours_after_failure(*changes):
     before = world.formation.built_control.neighbours.copy()
     assert world.formation.control.update_membership(0, 4.0)
     return before, world.formation.built_control.neighbours
-
-
-def no_air() -> AirData:
-    raise AssertionError("air data are not needed")
 
 
 def test_slot_has_its_gains_for_any_aircraft():

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from fault_samples import fault_manager, no_air, step, truth
+from fault_samples import fault_manager, step, truth
 
 from testbed.scenario.faults import (
     AutopilotFrozen,
@@ -81,22 +81,27 @@ def test_messages_declare_a_failure_after_the_delay():
     measured = np.array([[0.0, 0.0, 11.96, 0.0], [0.0, 0.0, 12.0, 0.0], [0.0, 0.0, np.nan, 0.0]])
     assert faults.declared(measured)[:, 2].tolist() == [False, True, False]
     step(faults, 15.0)
-    assert faults.declared(np.array([0.0, 0.0, 16.0, 0.0])).tolist() == [False, False, True, False]
+    assert faults.declared(np.array([[0.0, 0.0, 16.0, 0.0]]))[0].tolist() == [
+        False,
+        False,
+        True,
+        False,
+    ]
     # messages from before the declaration stay what they were
-    assert faults.declared(np.array([0.0, 0.0, 11.96, 0.0])).tolist() == [False] * 4
+    assert faults.declared(np.array([[0.0, 0.0, 11.96, 0.0]]))[0].tolist() == [False] * 4
 
 
 def test_fault_ending_before_the_delay_is_undeclared():
     faults = fault_manager(EngineOut(kind="engine-out", at_s=10.0, duration_s=1.0))
     step(faults, 10.0)
     step(faults, 11.0)
-    assert not faults.declared(np.full(4, 30.0)).any()
+    assert not faults.declared(np.full((1, 4), 30.0)).any()
 
 
 def test_fault_of_a_lost_aircraft_does_not_begin():
     faults = fault_manager(EngineOut(kind="engine-out", at_s=10.0))
     lost = np.array([False, False, True, False])
-    assert list(faults.changes(10.0, truth(), no_air, lost)) == []
+    assert step(faults, 10.0, lost=lost) == []
     assert not faults.active.any()
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 from fault_samples import NAMES, fault_manager, step
 
-from testbed.core.records import Inbox, allocate
+from testbed.core.records import LINK, allocate
 from testbed.flight.faults import FaultManager
 from testbed.flight.membership import FormationMembership
 from testbed.formation.hbh23 import NEIGHBOUR
@@ -38,17 +38,25 @@ def measured(time_s, *, uav3=None):
     return times
 
 
-def inbox(below=0.0):
-    """Return a leader at 20 m/s north, and all in their slots but uav2, this far below."""
-    position = np.tile(OFFSETS + [0.0, 0.0, -100.0], (3, 1, 1))
-    position[:, 2, 2] += below
-    velocity = np.tile([20.0, 0.0, 0.0], (3, 4, 1))
-    zero, times = np.zeros((3, 4, 3)), np.zeros((3, 4))
-    return Inbox(times, times, position, velocity, zero, zero, zero)
+def links(measured_s, below=0.0):
+    """Return LINK (n, N): a leader at 20 m/s north, all in their slots, uav2 this far below."""
+    out = allocate(LINK, 3, 4)
+    out["position_ned"] = OFFSETS + [0.0, 0.0, -100.0]
+    out["position_ned"][:, 2, 2] += below
+    out["velocity_ned"], out["measured_s"] = [20.0, 0.0, 0.0], measured_s
+    return out
+
+
+def events_of(member, now, received):
+    """Return the events of a step, of which there are some where the call asks for it."""
+    asks = member.bind(ALL, received)(now)
+    events = list(member.changes(now, ALL, received))
+    assert bool(asks) == bool(events)
+    return [(e.source, e.text) for e in events]
 
 
 def changes(member, now, times, below=0.0):
-    return [(e.source, e.text) for e in member.changes(now, ALL, inbox(below), times)]
+    return events_of(member, now, links(times, below))
 
 
 def neighbours(member):
@@ -91,9 +99,9 @@ def test_positions_are_compared_at_their_measurement():
     member, _ = membership(clearance_m=5.0)
     times = measured(14.0)
     times[:, 0] = 14.5
-    content = inbox()
-    content.position_ned[:, 0, 0] += 10.0
-    texts = [e.text for e in member.changes(14.5, ALL, content, times)]
+    received = links(times)
+    received["position_ned"][:, 0, 0] += 10.0
+    texts = [text for _, text in events_of(member, 14.5, received)]
     assert texts == ["uav2 has failed", EXCLUDED, "leaves the formation"]
 
 
@@ -144,8 +152,8 @@ def test_only_the_free_slot_of_two_is_taken():
     faults = FaultManager(NAMES, [[], [engine_out(1.0)], [engine_out(1.0)], []], 0.0)
     step(faults, 1.0)
     member = FormationMembership(NAMES, OFFSETS, GAINS, faults, 10.0)
-    content = inbox()
-    content.position_ned[:, 1, 2] += 50.0
-    list(member.changes(2.0, ALL, content, measured(2.0)))
+    received = links(measured(2.0))
+    received["position_ned"][:, 1, 2] += 50.0
+    events_of(member, 2.0, received)
     assert member.slots[2] == 1
     assert member.left.tolist() == [True, True, False]

@@ -5,16 +5,19 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from reference import actuator_faults
 
 from testbed.core.errors import InputError
-from testbed.core.records import ActuatorCommand
+from testbed.core.records import AIRCRAFT, ActuatorCommand, allocate, fields_of, write_fields
 from testbed.flight.faults import no_faults
 from testbed.vehicle.control_surfaces import (
+    SERVO,
     SURFACES,
     ControlGeometry,
+    any_floats,
     apply_actuator_faults,
     check_faults,
-    initial_servos,
+    keep_flow,
     stack_geometry,
 )
 
@@ -49,9 +52,33 @@ def mixed(surfaces, mixing):
     return left, right
 
 
+class Actuators:
+    """Servos and motors of N aircraft, which begin at some commands."""
+
+    def __init__(self, before, geometry):
+        n = len(before.aileron)
+        self.rows, self.aircraft = np.arange(n), allocate(AIRCRAFT, n)
+        self.servos, self.geometry = allocate(SERVO, n), geometry
+        self.trimmed = np.stack(before, axis=1)
+        self.drops = None
+
+    def step(self, surfaces, faults, flow=None):
+        """Step by a period; return the state of the surfaces and motors."""
+        aircraft = self.aircraft
+        write_fields(aircraft["surfaces"], surfaces)
+        write_fields(aircraft["faults"], faults)
+        if flow is not None:
+            aircraft["air"]["alpha"], aircraft["air"]["beta"] = flow.T
+            keep_flow(self.rows, aircraft, self.servos)
+        self.drops = apply_actuator_faults(
+            self.rows, aircraft, self.servos, self.trimmed, *self.geometry
+        )
+        return ActuatorCommand(*map(np.copy, fields_of(ActuatorCommand, aircraft["surfaces"])))
+
+
 def once(surfaces, faults, geometry, *, before=None, flow=(0.0, 0.0)):
-    before = initial_servos(surfaces if before is None else before, geometry)
-    return apply_actuator_faults(surfaces, before, faults, np.array([flow]), geometry)[0]
+    actuators = Actuators(surfaces if before is None else before, geometry)
+    return actuators.step(surfaces, faults, np.array([flow]))
 
 
 def sticking(column, at=NAN):
@@ -69,15 +96,10 @@ def floating(*columns, ratio=0.5):
 def test_without_faults_commands_are_unchanged():
     rng = np.random.default_rng(1)
     geometry = stack_geometry([tailed(), wing(), wing(0.5)] * 20)
-    surfaces, before = random_commands(rng, 60), initial_servos(random_commands(rng, 60), geometry)
-    out, after = apply_actuator_faults(
-        surfaces, before, no_faults(60), rng.normal(0.0, 0.1, (60, 2)), geometry
-    )
+    surfaces, actuators = random_commands(rng, 60), Actuators(random_commands(rng, 60), geometry)
+    out = actuators.step(surfaces, no_faults(60), rng.normal(0.0, 0.1, (60, 2)))
     for ours, theirs in zip(out, surfaces, strict=True):
         assert np.array_equal(ours, theirs)
-    assert np.array_equal(
-        after.positions, initial_servos(surfaces, geometry).positions, equal_nan=True
-    )
 
 
 def test_power_scales_the_throttle():
@@ -91,25 +113,23 @@ def test_frozen_autopilot_holds_servos_and_throttle():
     geometry = tailed()
     first, later = commands(0.1, 0.2, 0.3, 0.8), commands(-0.5, -0.6, -0.7, 0.1)
     faults = no_faults(1)._replace(frozen=np.array([True]), power=np.array([0.5]))
-    servos = initial_servos(first, geometry)
+    actuators = Actuators(first, geometry)
     for _ in range(5):
-        out, servos = apply_actuator_faults(later, servos, faults, np.zeros((1, 2)), geometry)
-        assert [each[0] for each in out] == [0.1, 0.2, 0.3, 0.4]
-    out, _ = apply_actuator_faults(later, servos, no_faults(1), np.zeros((1, 2)), geometry)
-    assert out == later
+        assert [each[0] for each in actuators.step(later, faults)] == [0.1, 0.2, 0.3, 0.4]
+    assert actuators.step(later, no_faults(1)) == later
 
 
 @pytest.mark.parametrize("column", [AILERON, ELEVATOR, RUDDER])
 def test_stuck_surface_holds_its_position(column):
     geometry, before, now = tailed(), commands(0.1, 0.2, 0.3), commands(-0.4, -0.5, -0.6)
     assert once(now, sticking(column, 0.9), geometry)[column][0] == 0.9
-    servos, faults = initial_servos(before, geometry), sticking(column)
+    actuators, faults = Actuators(before, geometry), sticking(column)
     for _ in range(3):  # and it stays there, whatever the command
-        out, servos = apply_actuator_faults(now, servos, faults, np.zeros((1, 2)), geometry)
+        out = actuators.step(now, faults)
         assert out[column][0] == before[column][0]
         others = [i for i in range(3) if i != column]
         assert [out[i][0] for i in others] == [now[i][0] for i in others]
-    assert apply_actuator_faults(now, servos, no_faults(1), np.zeros((1, 2)), geometry)[0] == now
+    assert actuators.step(now, no_faults(1)) == now
 
 
 @pytest.mark.parametrize("mixing", [1.0, 0.7, 0.5])
@@ -121,9 +141,7 @@ def test_stuck_elevon_leaves_both_axes_to_the_other(column, mixing):
     surfaces, geometry = random_commands(rng, n), stack_geometry([wing(mixing)] * n)
     faults = no_faults(n)
     faults.stuck[:, column], faults.stuck_at[:, column] = True, rng.uniform(-1.0, 1.0, n)
-    out, _ = apply_actuator_faults(
-        surfaces, initial_servos(surfaces, geometry), faults, np.zeros((n, 2)), geometry
-    )
+    out = Actuators(surfaces, geometry).step(surfaces, faults)
     asked, moved = mixed(surfaces, mixing), mixed(out, mixing)
     at_its_stop = np.abs(asked[RIGHT - column]) == 1.0
     assert 0.0 < at_its_stop.mean() < 0.7 or mixing == 0.5  # reaches its stops in a corner only
@@ -137,13 +155,10 @@ def test_stuck_elevon_leaves_both_axes_to_the_other(column, mixing):
 def test_stuck_elevon_does_not_creep():
     """10 000 periods of other commands leave its position equal to the bit."""
     rng, geometry = np.random.default_rng(3), wing()
-    servos = initial_servos(commands(0.123, 0.345), geometry)
-    where, faults = servos.positions[0, LEFT], sticking(LEFT)
+    actuators, faults = Actuators(commands(0.123, 0.345), geometry), sticking(LEFT)
     for aileron, elevator in rng.uniform(-1.0, 1.0, (10_000, 2)):
-        _, servos = apply_actuator_faults(
-            commands(aileron, elevator), servos, faults, np.zeros((1, 2)), geometry
-        )
-    assert servos.positions[0, LEFT] == where == 0.345 - 0.123
+        actuators.step(commands(aileron, elevator), faults)
+    assert actuators.servos["positions"][0, LEFT] == 0.345 - 0.123
 
 
 def test_floating_surfaces_follow_the_flow():
@@ -203,28 +218,70 @@ def test_faults_of_aircraft_are_independent():
         frozen=rng.random(n) < 0.3,
     )
     flow = rng.normal(0.0, 0.1, (n, 2))
-    together, _ = apply_actuator_faults(
-        surfaces, initial_servos(before, geometry), faults, flow, geometry
-    )
+    together = Actuators(before, geometry).step(surfaces, faults, flow)
     for i in range(n):
         row = slice(i, i + 1)
-        first = initial_servos(ActuatorCommand(*(each[row] for each in before)), each_geometry[i])
+        first = Actuators(ActuatorCommand(*(each[row] for each in before)), each_geometry[i])
         own = type(faults)(*(each[row] for each in faults))
-        alone, _ = apply_actuator_faults(
-            ActuatorCommand(*(e[row] for e in surfaces)), first, own, flow[row], each_geometry[i]
-        )
+        alone = first.step(ActuatorCommand(*(e[row] for e in surfaces)), own, flow[row])
         for ours, theirs in zip(alone, together, strict=True):
             assert ours[0] == theirs[i]
 
 
-def test_arguments_are_not_modified():
-    surfaces, geometry, faults = commands(0.1, 0.2, 0.3), wing(), sticking(LEFT, 0.5)
-    faults.power[0] = 0.5
-    before = initial_servos(commands(), geometry)
-    kept = [each.copy() for each in (*surfaces, *before.commanded, before.positions)]
-    apply_actuator_faults(surfaces, before, faults, np.zeros((1, 2)), geometry)
-    for now, then in zip((*surfaces, *before.commanded, before.positions), kept, strict=True):
-        assert np.array_equal(now, then)
+def random_faults(rng, n):
+    return no_faults(n)._replace(
+        power=np.where(rng.random(n) < 0.5, 1.0, rng.uniform(0.0, 1.0, n)),
+        stuck=rng.random((n, 5)) < 0.2,
+        stuck_at=np.where(rng.random((n, 5)) < 0.5, np.nan, rng.uniform(-1.0, 1.0, (n, 5))),
+        floating=rng.random((n, 5)) < 0.2,
+        floats=rng.uniform(-1.0, 1.0, (n, 5)),
+        frozen=rng.random(n) < 0.3,
+    )
+
+
+def difference_from_numpy(rule):
+    """Return in how many of 5 periods of 200 aircraft kernels and numpy differ in any bit."""
+    rng, n, found = np.random.default_rng(5), 200, 0
+    geometry = stack_geometry([tailed(), wing(), wing(0.7), tailed(0.2)] * (n // 4))
+    before = random_commands(rng, n)
+    actuators, held = Actuators(before, geometry), np.stack(before, axis=1)
+    servos = held, actuator_faults.positions(held, geometry.mixing)
+    for _ in range(5):
+        surfaces, faults = random_commands(rng, n), random_faults(rng, n)
+        flow = rng.normal(0.0, 0.4, (n, 2))
+        flow[::7] = -0.0
+        ours = np.stack(actuators.step(surfaces, faults, flow), axis=1)
+        theirs, servos = actuator_faults.actuate(
+            np.stack(surfaces, axis=1), servos, faults, flow, geometry, rule
+        )
+        found += ours.tobytes() != theirs.tobytes()
+    return found
+
+
+def test_kernels_equal_numpy_to_the_bit():
+    assert difference_from_numpy(actuator_faults.Rule()) == 0
+
+
+@pytest.mark.parametrize("name", actuator_faults.Rule._fields)
+def test_planted_rule_differs_from_the_kernels(name):
+    usual = getattr(actuator_faults.Rule(), name)
+    assert difference_from_numpy(actuator_faults.Rule()._replace(**{name: not usual})) == 5
+
+
+def test_dropping_battery_asks_for_python():
+    actuators, faults = Actuators(commands(), tailed()), no_faults(1)
+    actuators.step(commands(), faults)
+    assert not actuators.drops
+    actuators.step(commands(), faults._replace(charge=np.array([0.2])))
+    assert actuators.drops
+
+
+def test_flow_is_read_where_a_surface_floats():
+    actuators = Actuators(commands(), tailed())
+    actuators.step(commands(), sticking(ELEVATOR))
+    assert not any_floats(actuators.rows, actuators.aircraft)
+    actuators.step(commands(), floating(ELEVATOR))
+    assert any_floats(actuators.rows, actuators.aircraft)
 
 
 def _fault(kind, **keys):

@@ -13,6 +13,7 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 
 from testbed.autopilot.parameters import make_gains, read_params
+from testbed.core.call_list import run_steps
 from testbed.core.errors import InputError
 from testbed.core.frames import FOOT
 from testbed.core.records import (
@@ -45,8 +46,8 @@ LEFT, RIGHT = SURFACES.index("left-elevon"), SURFACES.index("right-elevon")
 
 def actuate(vehicles):
     """One period of the autopilots, and of what has failed."""
-    for step in (*vehicles.autopilot_steps, *vehicles.fault_steps, *vehicles.output_steps):
-        step(0.0)
+    steps = vehicles.fault_steps(floating=True)
+    run_steps((*vehicles.autopilot_steps, *steps, *vehicles.output_steps), 0.0)
 
 
 class Flight:
