@@ -56,3 +56,15 @@ class NormalNumbers:
         self.used[0] += 1
         numbers: NDArray[np.float64] = self.block[self.used[0] - 1]
         return numbers
+
+
+class ZeroNumbers(NormalNumbers):
+    """Zeros in place of random numbers, for errors of which none has a standard deviation."""
+
+    def __init__(self, own: Sequence[Streams], shared: Streams = ()) -> None:
+        super().__init__(own, shared)
+        self.block[...] = 0.0
+
+    def refill(self) -> None:
+        """Begin with the first zeros again."""
+        self.used[0] = 0

@@ -18,7 +18,7 @@ import numpy as np
 from testbed.core.compile import entry, jitable, kernel
 from testbed.core.copies import copy_motion
 from testbed.core.frames import GRAVITY, rotation_rows
-from testbed.core.random import NormalNumbers, Streams, named_stream
+from testbed.core.random import NormalNumbers, Streams, ZeroNumbers, named_stream
 from testbed.core.reads import unrecorded
 from testbed.core.records import Array, Indices, Record, Records, allocate
 from testbed.scenario.sensors import Sensors
@@ -79,6 +79,7 @@ class GaussMarkovErrors:
         dt: s, step.
         own: random streams of each aircraft, for the errors behind the shared ones.
         shared: random streams common to all aircraft, for the first errors.
+        drawn: false: all errors are zero, and no numbers are drawn.
 
     Attributes:
         coefficients: (2, N, K) k and g of the recursion.
@@ -87,14 +88,20 @@ class GaussMarkovErrors:
     """
 
     def __init__(
-        self, parameters: NoiseParameters, dt: float, own: Sequence[Streams], shared: Streams = ()
+        self,
+        parameters: NoiseParameters,
+        dt: float,
+        own: Sequence[Streams],
+        shared: Streams = (),
+        *,
+        drawn: bool = True,
     ) -> None:
         sigma, time_constant = parameters
         drifts = time_constant > 0.0
         tau = np.where(drifts, time_constant, 1.0)
         keep = np.where(drifts, np.exp(-dt / tau), 0.0)
         self.coefficients = np.array([keep, sigma * np.sqrt(1.0 - keep**2)])
-        self.numbers = NormalNumbers(own, shared)
+        self.numbers = NormalNumbers(own, shared) if drawn else ZeroNumbers(own, shared)
         self.values = sigma * self.numbers.draw()
 
 
@@ -144,7 +151,8 @@ def make_sensor_errors(
     shared = [
         (named_stream(seed, f"sky/{sensor}"), width) for sensor, width in SHARED_STREAMS.items()
     ]
-    return GaussMarkovErrors(make_noise_parameters(sensors, dt), dt, own, shared)
+    drawn = any(each.measured for each in sensors)
+    return GaussMarkovErrors(make_noise_parameters(sensors, dt), dt, own, shared, drawn=drawn)
 
 
 def view_errors(errors: GaussMarkovErrors) -> Records:
