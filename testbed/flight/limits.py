@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from math import inf, sqrt
+from math import inf, isnan, nan, sqrt
 
 import numpy as np
 
-from testbed.core.call_list import Call
-from testbed.core.compile import entry
-from testbed.core.records import (
-    Array,
-    BoolArray,
-    Event,
-    Records,
-)
+from testbed.core.call_list import NOW, Call
+from testbed.core.compile import entry, kernel
+from testbed.core.records import Array, BoolArray, Event, Record, Records, allocate
 from testbed.flight.faults import SIMULTANEOUS_S, FaultManager
 from testbed.metrics.document import SEPARATION_LOST
 
@@ -195,7 +190,7 @@ def _held(active: BoolArray, limit: Array | float) -> Array:
 # What is limited, a row of all arrays (3, N) here: equivalent airspeed, m/s, angle of attack, rad,
 # and how much farther from its slot than at its closest a follower is, m.
 OVERSPEED, STALL, FORMATION = range(3)
-HOLD_S = np.array([[0.5], [0.5], [5.0]])  # beyond a limit for so long, so that gusts do not count
+HOLD_S = 0.5, 0.5, 5.0  # beyond a limit for so long, so that gusts do not count
 OWN_OVERSPEED = 1.5  # of AIRSPEED_MAX
 RECOVERED = 0.95  # of the limit, below which the aircraft is within it again
 _BEGINS = (
@@ -210,6 +205,20 @@ _ENDS = (
 )
 OUTCOMES = ("envelope_exceeded", "envelope_exceeded", "formation_lost")
 _UNITS = (1.0, 180.0 / np.pi, 1.0)  # of the texts
+# A value and its limit.
+EXCESS = np.dtype(
+    [
+        ("value", "f8"),
+        ("limit", "f8"),
+        ("since_s", "f8"),  # beyond the limit; NaN: it is not
+        ("lasted_s", "f8"),  # up to the last call at which it was not
+        ("peak", "f8"),  # the largest value since it was last beyond
+        ("reported", "?"),
+        ("began", "?"),  # at the last call, as an event
+        ("ended", "?"),
+    ],
+    align=True,
+)
 
 
 class EnvelopeMonitor:
@@ -234,11 +243,8 @@ class EnvelopeMonitor:
         self._names, self._faults, self._stops = names, faults, stops
         self._limits = limits
         self._closest_m: Array = np.full(len(names), inf)
-        self._values: Array = np.zeros(limits.shape)
-        self._since: Array = np.full(limits.shape, np.nan)  # s, beyond the limit
-        self._peak: Array = np.zeros(limits.shape)  # since then
-        self._reported: BoolArray = np.zeros(limits.shape, dtype=bool)
-        self._active = np.zeros(1, dtype=bool)  # an aircraft was beyond a limit at the last call
+        self._excesses = allocate(EXCESS, *limits.shape)
+        self._excesses["since_s"] = nan
         self.outcome = "completed"
 
     def bind(self, aircraft: Records, followers: Records, left: BoolArray) -> Call:
@@ -249,49 +255,33 @@ class EnvelopeMonitor:
             followers: (n,) of FOLLOWER.
             left: (n,) have left the formation, and have no slot.
         """
-        self._lost, self._left = aircraft["lost"], left
-        known = self._limits, self._closest_m, self._values, self._active
-        return Call(find_exceeded, *known, aircraft, followers, left)
+        known = self._limits, self._closest_m, self._excesses
+        return Call(find_exceeded, *known, aircraft, followers, left, NOW)
 
     def changes(self, now: float) -> Iterator[Event]:
-        """Yield an event for each excess that began or ended since the last call, at a time, s.
+        """Yield an event for each excess that began or ended at the last call, at its time, s.
 
         An excess that ends because the aircraft is lost or has left its slot has no event.
         """
-        watched = np.tile(~self._lost, (3, 1))
-        watched[FORMATION, 1:] &= ~self._left & ~self._lost[0]
-        yield from self._report(now, watched)
+        excesses, explained = self._excesses, self._explained()
+        began = np.array(excesses["began"])
+        for kind, row in np.argwhere(began):
+            level = "warning" if explained[kind, row] else "error"
+            value, limit = (excesses[each][kind, row] * _UNITS[kind] for each in ("value", "limit"))
+            text = _BEGINS[kind].format(value=value, limit=limit)
+            yield Event(now, level, self._names[row], text)
+        for kind, row in np.argwhere(excesses["ended"]):
+            lasted_s, most = excesses[kind, row]["lasted_s"], excesses[kind, row]["peak"]
+            text = _ENDS[kind].format(lasted=lasted_s, peak=most * _UNITS[kind])
+            yield Event(now, "info", self._names[row], text)
+        unexplained = (began & ~explained).any(axis=1)
+        if self.outcome == "completed" and unexplained.any():
+            self.outcome = OUTCOMES[int(unexplained.argmax())]
 
     @property
     def terminate(self) -> bool:
         """Whether the run ends here."""
         return self._stops and self.outcome != "completed"
-
-    def _report(self, now: float, watched: BoolArray) -> Iterator[Event]:
-        """Return the events of aircraft watched (3, N)."""
-        values, limits = self._values, self._limits.copy()
-        limits[FORMATION] += self._closest_m
-        beyond = watched & (values > np.where(self._reported, RECOVERED * limits, limits))
-        peak = np.fmax(self._peak, values)
-        since = np.where(np.isnan(self._since), now, self._since)
-        began = beyond & ~self._reported & (now - since >= HOLD_S - SIMULTANEOUS_S)
-        ended = watched & self._reported & ~beyond
-        explained = self._explained()
-        for kind, row in np.argwhere(began):
-            level = "warning" if explained[kind, row] else "error"
-            value, limit = (each[kind, row] * _UNITS[kind] for each in (values, limits))
-            text = _BEGINS[kind].format(value=value, limit=limit)
-            yield Event(now, level, self._names[row], text)
-        for kind, row in np.argwhere(ended):
-            lasted, most = now - since[kind, row], peak[kind, row] * _UNITS[kind]
-            text = _ENDS[kind].format(lasted=lasted, peak=most)
-            yield Event(now, "info", self._names[row], text)
-        unexplained = (began & ~explained).any(axis=1)
-        if self.outcome == "completed" and unexplained.any():
-            self.outcome = OUTCOMES[int(unexplained.argmax())]
-        self._reported = (self._reported | began) & beyond
-        self._since, self._peak = np.where(beyond, since, np.nan), np.where(beyond, peak, 0.0)
-        self._active[0] = beyond.any()
 
     def _explained(self) -> BoolArray:
         """Return which excess an active fault explains (3, N); any fault that of a formation."""
@@ -305,39 +295,75 @@ class EnvelopeMonitor:
 def find_exceeded(
     limits: Array,
     closest_m: Array,
-    values: Array,
-    active: BoolArray,
+    excesses: Records,
     aircraft: Records,
     followers: Records,
     left: BoolArray,
+    now: float,
 ) -> bool:
-    """Write what is limited; return whether an aircraft is, or was, beyond a limit.
+    """Write what is beyond its limit; return whether an excess begins or ends that is reported.
 
     Args:
-        limits: (3, N) of airspeed, m/s, angle of attack, rad, and distance beyond the closest, m.
+        limits: (3, N) of airspeed, m/s, angle of attack, rad, and distance beyond the closest, m;
+            infinite: not watched.
         closest_m: (N,) closest distance to the slot so far; written.
-        values: (3, N) airspeed, angle of attack, and distance from the slot; written.
-        active: (1,) an aircraft was beyond a limit at the last report.
+        excesses: (3, N) of EXCESS; written.
         aircraft: (N,) of AIRCRAFT, the leader first.
         followers: (n,) of FOLLOWER.
         left: (n,) have left the formation: their closest distance counts from their return.
+        now: s.
     """
-    beyond = bool(active[0])
+    found = False
     for i in range(len(aircraft)):
-        a = aircraft[i]
-        airspeed, alpha, distance = a.truth.equivalent_airspeed, a.air.alpha, 0.0
+        a, has_slot, distance = aircraft[i], True, 0.0
         if i > 0:
             if left[i - 1]:
                 closest_m[i] = inf
+            has_slot = not left[i - 1] and not aircraft[0].lost
             x, y, z = followers[i - 1].error_ned
             distance = sqrt(x * x + y * y + z * z)
         if distance < closest_m[i]:
             closest_m[i] = distance
-        values[OVERSPEED, i], values[STALL, i], values[FORMATION, i] = airspeed, alpha, distance
-        if (
-            airspeed > limits[OVERSPEED, i]
-            or alpha > limits[STALL, i]
-            or distance > limits[FORMATION, i] + closest_m[i]
-        ):
-            beyond = True
-    return beyond
+        for kind in range(len(limits)):
+            value, limit = distance, limits[kind, i]
+            if kind == OVERSPEED:
+                value = a.truth.equivalent_airspeed
+            elif kind == STALL:
+                value = a.air.alpha
+            else:
+                limit += closest_m[i]
+            watched = not a.lost and (has_slot or kind != FORMATION)
+            hold_s = HOLD_S[kind] - SIMULTANEOUS_S
+            if _update_excess(excesses[kind, i], watched, value, limit, hold_s, now):
+                found = True
+    return found
+
+
+@kernel
+def _update_excess(
+    excess: Record, watched: bool, value: float, limit: float, hold_s: float, now: float
+) -> bool:
+    """Write whether a value is beyond its limit; return whether that is reported now.
+
+    Args:
+        excess: record of EXCESS; written.
+        watched: false: it is not beyond it, whatever the value.
+        value: present.
+        limit: of it.
+        hold_s: how long it is beyond the limit before that is reported.
+        now: s.
+    """
+    excess.value, excess.limit = value, limit
+    excess.began = excess.ended = False
+    if watched and value > (RECOVERED * limit if excess.reported else limit):
+        if isnan(excess.since_s):
+            excess.since_s, excess.peak = now, value
+        if value > excess.peak:
+            excess.peak = value
+        excess.began = not excess.reported and now - excess.since_s >= hold_s
+        excess.reported = excess.reported or excess.began
+        return bool(excess.began)
+    excess.ended = watched and excess.reported
+    excess.lasted_s = now - excess.since_s
+    excess.since_s, excess.reported = nan, False
+    return bool(excess.ended)

@@ -8,7 +8,7 @@ import pytest
 
 from testbed.core.random import named_stream
 from testbed.core.records import AIRCRAFT, FOLLOWER, allocate
-from testbed.flight.limits import RECOVERED, EnvelopeMonitor, find_exceeded
+from testbed.flight.limits import EXCESS, RECOVERED, EnvelopeMonitor, find_exceeded
 
 DT = 0.04
 NAMES = ("leader", "uav1", "uav2")
@@ -189,14 +189,33 @@ def test_find_exceeded_matches_reference():
         expected = np.stack([airspeed, alpha, distance])
         near = np.fmin(np.where([False, *left], np.inf, closest), distance)
         allowed = limits + np.stack([np.zeros(5), np.zeros(5), near])
-        aircraft, followers, values = allocate(AIRCRAFT, 5), allocate(FOLLOWER, 4), np.empty((3, 5))
+        aircraft, followers, excesses = (
+            allocate(dtype, *shape)
+            for dtype, *shape in ((AIRCRAFT, 5), (FOLLOWER, 4), (EXCESS, 3, 5))
+        )
+        excesses["since_s"] = np.nan
         aircraft["truth"]["equivalent_airspeed"], aircraft["air"]["alpha"] = airspeed, alpha
         followers["error_ned"] = error
-        active, seen_now = np.zeros(1, dtype=bool), (aircraft, followers, left)
-        found = find_exceeded(limits, closest, values, active, *seen_now)
-        assert found == (expected > allowed).any()
+        state, seen_now = (limits, closest, excesses), (aircraft, followers, left)
+        beyond = expected > allowed
+        beyond[2, 1:] &= ~left
+        assert not find_exceeded(*state, *seen_now, 1.0), "no excess has lasted"
         np.testing.assert_allclose(closest, near, rtol=1e-15)
-        np.testing.assert_allclose(values, expected, rtol=1e-15)
-        assert find_exceeded(limits, closest, values, ~active, *seen_now), "an excess may end"
+        np.testing.assert_allclose(excesses["value"], expected, rtol=1e-15)
+        assert np.array_equal(excesses["since_s"] == 1.0, beyond)
+        found = find_exceeded(*state, *seen_now, 6.0)
+        assert found == beyond.any()
+        assert np.array_equal(excesses["began"], beyond)
+        assert not find_exceeded(*state, *seen_now, 7.0), "each begins once"
+        aircraft["truth"]["equivalent_airspeed"] = aircraft["air"]["alpha"] = 0.0
+        followers["error_ned"] = 0.0
+        assert find_exceeded(*state, *seen_now, 8.0) == found, "each ends"
         seen += found
     assert 100 < seen < 400
+
+
+def test_excess_within_a_period_of_another_starts_anew():
+    """The second excess, 0.4 s long, comes one sample after the end of the first."""
+    high = (44.0, 3.0, 1.0)
+    events = simulate(make(), [high] * 20 + [CALM] + [high] * 10 + [CALM] * 5)
+    assert [event.level for event in events] == ["error", "info"]
