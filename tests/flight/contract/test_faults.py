@@ -1,6 +1,7 @@
 """Faults of a scenario: begin and end, events, responses of the others, and losses."""
 
 import json
+from collections import Counter
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import testbed
 from testbed.cli.main import app
 from testbed.core.errors import InputError
 from testbed.core.velocity_frame import velocity_frame
+from testbed.flight.tick_loop import TickLoop
 from testbed.plan.world import build
 from testbed.scenario import load_scenario, loads
 
@@ -155,6 +157,70 @@ def test_fault_without_effect_is_a_warning():
     ]
     said = [text for time, _, _, text in events if time > 0.0 and "GPS" in text]
     assert said == ["GPS lost: no effect, because the estimate uses no GPS"]
+
+
+# stages in Python
+
+X8 = "fleet.1.aircraft=skywalker_x8", "leader.sensors=pixhawk", "fleet.*.sensors=pixhawk"
+OF_EACH_KIND = (
+    "kind: engine-out",
+    "kind: thrust-loss, remaining: 0.9",
+    "kind: surface-stuck, surface: left-elevon",
+    "kind: surface-floating, surface: right-elevon",
+    "kind: airspeed-blocked",
+    "kind: gps-lost",
+    "kind: gps-jump, offset_m: [0, 0, 1]",
+    "kind: autopilot-frozen",
+    "kind: transmitter-off",
+    "kind: battery-low, state_of_charge: 0.5",
+)
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """Return how often each stage has asked for Python, by its name."""
+    seen, run = Counter(), TickLoop.run
+
+    def count(loop, found=None):
+        stage = run(loop, found)
+        if stage is not None:
+            seen[stage.name] += 1
+        return stage
+
+    monkeypatch.setattr(TickLoop, "run", count)
+    return seen
+
+
+@pytest.mark.parametrize(
+    "when",
+    ["at_s: 7, when: {quantity: bank_deg, above: 89}"]
+    + [f"when: {{quantity: {each}, below: 0}}" for each in ("altitude_m", "state_of_charge")],
+)
+@pytest.mark.parametrize("response", ["ignore", "reassign-slots"])
+def test_fault_that_has_not_begun_needs_no_python(asked, when, response):
+    """Ten faults with a time or condition that does not come change nothing."""
+    flown(*X8)
+    without = dict(asked)
+    asked.clear()
+    waiting = ", ".join(f"{{{each}, {when}}}" for each in OF_EACH_KIND)
+    flown(*X8, f"formation.on_failure.response={response}", f"fleet.1.faults=[{waiting}]")
+    assert asked == without
+
+
+@pytest.mark.parametrize("fault", OF_EACH_KIND)
+def test_active_fault_needs_python_as_it_begins_and_ends(asked, fault):
+    """It is declared at 2 s; a battery that drops does not end, and drops at one tick."""
+    battery = "battery" in fault
+    flown(
+        *X8,
+        faults(1, f"{{{fault}, at_s: 1{'' if battery else ', duration_s: 1.5'}}}"),
+        "formation.on_failure={response: reassign-slots, declared_after_s: 1}",
+        "scenario.duration_s=4",
+        "network.delay_s=0",
+    )
+    assert asked["begin and end faults"] == 2
+    assert asked["apply actuator faults"] == battery
+    assert asked["respond to declared failures"] <= 2
 
 
 # transmissions and servos
