@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from testbed.core.call_list import NOW, Call
-from testbed.core.compile import entry, kernel
+from testbed.core.compile import bind_entry, entry, kernel
 from testbed.core.records import (
     Array,
     BoolArray,
@@ -199,18 +199,22 @@ class FaultManager:
         if begun or ended:
             self._update_state([*taken, *begun])
 
-    def declared(self, measured_s: Array) -> BoolArray:
-        """Return which messages (M, N) declare a failure of their sender.
+    def bind_declared(self) -> Callable[[Array], BoolArray]:
+        """Return the function that finds which messages (M, N) declare a failure of their sender.
 
-        An aircraft that has failed declares it in all later messages, also after the fault has
-        ended.
-
-        Args:
-            measured_s: (M, N) s, times of measurement of the messages' contents.
+        Its argument are the times of measurement of the messages' contents (M, N), s. An aircraft
+        that has failed declares it in all later messages, also after the fault has ended.
         """
-        declared: BoolArray = np.zeros(measured_s.shape, dtype=bool)
-        write_declared(self.records, self.declared_after_s, measured_s, declared)
-        return declared
+        none = np.zeros((1, len(self._names)))
+        known = self.records, self.declared_after_s
+        write = bind_entry(write_declared, *known, like=(none, none.astype(bool)))
+
+        def find_declared(measured_s: Array) -> BoolArray:
+            declared: BoolArray = np.zeros(measured_s.shape, dtype=bool)
+            write(np.ascontiguousarray(measured_s), declared)
+            return declared
+
+        return find_declared
 
     def _update_state(self, begun: Sequence[_FaultRecord]) -> None:
         """Combine the active faults; batteries are emptied only when their fault begins."""

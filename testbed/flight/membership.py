@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.core.call_list import NOW, Call
-from testbed.core.compile import entry, kernel
-from testbed.core.records import Array, BoolArray, Event, Indices, Records
+from testbed.core.compile import bind_entry, entry, kernel
+from testbed.core.records import LINK, Array, BoolArray, Event, Indices, Records, allocate
 from testbed.core.velocity_frame import frame_angles, to_ned
 from testbed.flight.faults import FaultManager, declares
 from testbed.formation.control_step import set_gains
@@ -32,6 +32,8 @@ class FormationMembership:
         known: (n, N) failures that each follower has received.
         left: (n,) followers that have failed and left the formation.
     """
+
+    ADDRESSES = "_find_declared", "_is_clear_in"
 
     def __init__(
         self,
@@ -58,6 +60,9 @@ class FormationMembership:
         self._clear: BoolArray = np.zeros_like(self.known)  # known to be clear of their slots
         self.left: BoolArray = np.zeros(n, dtype=bool)
         self._slots = np.tile(np.arange(n + 1), (n, 1))  # (n, N) of each aircraft, by follower
+        self._find_declared = faults.bind_declared()
+        link = allocate(LINK, n, n + 1), 0, 0, offsets[0], 0.0
+        self._is_clear_in = bind_entry(is_clear_in, like=link)
 
     @property
     def slots(self) -> NDArray[np.intp]:
@@ -83,7 +88,7 @@ class FormationMembership:
             rows: (m,) followers that step now.
             links: (n, N) of LINK, with the newest messages.
         """
-        known = self.known[rows] | self._faults.declared(links["measured_s"][rows])
+        known = self.known[rows] | self._find_declared(links["measured_s"][rows])
         known[np.arange(len(rows)), rows + 1] = known[:, 0] = False
         for at, m in np.argwhere(known & ~self.known[rows]).tolist():
             row = int(rows[at])
@@ -93,7 +98,7 @@ class FormationMembership:
             yield self._event(now, row, f"{self._names[m]} has failed{response}")
         if self._clearance_m is None:
             return
-        failed = self._faults.declared(np.full((1, len(self._names)), now))[0, rows + 1]
+        failed = self._find_declared(np.full((1, len(self._names)), now))[0, rows + 1]
         for row in rows[failed & ~self.left[rows]].tolist():
             self.left[row] = True
             yield self._event(now, row, "leaves the formation")
@@ -126,7 +131,7 @@ class FormationMembership:
     def _is_clear(self, row: int, m: int, links: Records) -> bool:
         """Return whether an aircraft m was clear of its slot at its newest message."""
         slot = self._offsets[self._slots[row, m]]
-        return bool(is_clear_in(links, row, m, slot, self._clearance_m or 0.0))
+        return self._is_clear_in(links, row, m, slot, self._clearance_m or 0.0)
 
     def _reassign(self, row: int) -> None:
         """Assign the first free slots to the remaining aircraft, by one follower's messages."""
@@ -220,5 +225,5 @@ def is_clear(links: Records, row: int, m: int, offset: Array, clearance_m: float
 
 @entry
 def is_clear_in(links: Records, row: int, m: int, offset: Array, clearance_m: float) -> bool:
-    """See `is_clear`."""
+    """Return whether an aircraft was clear of its slot; see `is_clear`."""
     return bool(is_clear(links, row, m, offset, clearance_m))

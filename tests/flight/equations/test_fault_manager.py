@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from fault_samples import fault_manager, step, truth
 
+from testbed.core.records import AIRCRAFT, allocate
 from testbed.scenario.faults import (
     AutopilotFrozen,
     BatteryLow,
@@ -12,6 +13,7 @@ from testbed.scenario.faults import (
     GpsJump,
     SurfaceStuck,
     ThrustLoss,
+    TransmitterOff,
 )
 
 
@@ -79,23 +81,23 @@ def test_messages_declare_a_failure_after_the_delay():
     faults = fault_manager(EngineOut(kind="engine-out", at_s=10.0, duration_s=5.0))
     step(faults, 10.0)
     measured = np.array([[0.0, 0.0, 11.96, 0.0], [0.0, 0.0, 12.0, 0.0], [0.0, 0.0, np.nan, 0.0]])
-    assert faults.declared(measured)[:, 2].tolist() == [False, True, False]
+    assert faults.bind_declared()(measured)[:, 2].tolist() == [False, True, False]
     step(faults, 15.0)
-    assert faults.declared(np.array([[0.0, 0.0, 16.0, 0.0]]))[0].tolist() == [
+    assert faults.bind_declared()(np.array([[0.0, 0.0, 16.0, 0.0]]))[0].tolist() == [
         False,
         False,
         True,
         False,
     ]
     # messages from before the declaration stay what they were
-    assert faults.declared(np.array([[0.0, 0.0, 11.96, 0.0]]))[0].tolist() == [False] * 4
+    assert faults.bind_declared()(np.array([[0.0, 0.0, 11.96, 0.0]]))[0].tolist() == [False] * 4
 
 
 def test_fault_ending_before_the_delay_is_undeclared():
     faults = fault_manager(EngineOut(kind="engine-out", at_s=10.0, duration_s=1.0))
     step(faults, 10.0)
     step(faults, 11.0)
-    assert not faults.declared(np.full((1, 4), 30.0)).any()
+    assert not faults.bind_declared()(np.full((1, 4), 30.0)).any()
 
 
 def test_fault_of_a_lost_aircraft_does_not_begin():
@@ -113,3 +115,19 @@ def test_later_of_two_stuck_positions_applies():
     step(faults, 1.0)
     step(faults, 2.0)
     assert faults.state.stuck_at[2, 2] == 0.5
+
+
+def test_condition_of_a_battery_reads_it_while_it_waits():
+    """Batteries are read from 5 s on, up to the beginning; an unknown charge meets no condition."""
+    condition = Condition(quantity="state_of_charge", below=0.3)
+    faults = fault_manager(TransmitterOff(kind="transmitter-off", at_s=5.0, when=condition))
+    aircraft = allocate(AIRCRAFT, 4)
+    reads = faults.battery_call(aircraft)
+    assert not reads(4.98)
+    assert reads(5.0)
+    assert step(faults, 5.0, charge=np.nan) == step(faults, 5.0, charge=0.3) == []
+    aircraft["lost"][2] = True
+    assert not reads(5.0)
+    aircraft["lost"][2] = False
+    assert [each[3] for each in step(faults, 6.0, charge=0.29)] == ["transmitter off"]
+    assert not reads(6.02)
