@@ -212,7 +212,7 @@ EXCESS = np.dtype(
         ("limit", "f8"),
         ("since_s", "f8"),  # beyond the limit; NaN: it is not
         ("lasted_s", "f8"),  # up to the last call at which it was not
-        ("peak", "f8"),  # the largest value since it was last beyond
+        ("peak", "f8"),  # largest value of the present excess, or of the last one
         ("reported", "?"),
         ("began", "?"),  # at the last call, as an event
         ("ended", "?"),

@@ -208,7 +208,7 @@ def test_fault_that_has_not_begun_needs_no_python(asked, when, response):
 
 
 @pytest.mark.parametrize("fault", OF_EACH_KIND)
-def test_active_fault_needs_python_as_it_begins_and_ends(asked, fault):
+def test_fault_needs_python_as_it_begins_and_ends(asked, fault):
     """It is declared at 2 s; a battery that drops does not end, and drops at one tick."""
     battery = "battery" in fault
     flown(

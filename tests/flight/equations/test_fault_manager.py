@@ -117,7 +117,7 @@ def test_later_of_two_stuck_positions_applies():
     assert faults.state.stuck_at[2, 2] == 0.5
 
 
-def test_condition_of_a_battery_reads_it_while_it_waits():
+def test_battery_is_read_while_a_condition_waits():
     """Batteries are read from 5 s on, up to the beginning; an unknown charge meets no condition."""
     condition = Condition(quantity="state_of_charge", below=0.3)
     faults = fault_manager(TransmitterOff(kind="transmitter-off", at_s=5.0, when=condition))
