@@ -57,6 +57,11 @@ PARTS = (
         parallel=False,
     ),
     Part(
+        "margins of a linear system, as printed",
+        "two scenarios",
+        "TESTBED_MARGINS=1 pytest tests/linear/equations/test_linear_system.py",
+    ),
+    Part(
         "functions and components of compiled models against JSBSim",
         "all, 100,000 arguments each",
         "TESTBED_LITERALS=100000 pytest tests/compiled/equations/test_compiled_literals.py",

@@ -18,7 +18,7 @@ from testbed.compiled.proof import Comparison
 from testbed.scenario import library, loads, set_duration
 from testbed.vehicle.jsbsim_adapter import load
 
-DURATION_S = 120.0 if os.environ.get("TESTBED_ENGINES") == "1" else 4.0
+DURATION_S = 120.0 if os.environ.get("TESTBED_ENGINES") == "1" else 2.0
 RATE_HZ = 200
 EXPONENTS = (0.33333, 0.5, 2.0, 4.0, -1.0)  # the first four are those of JSBSim's collection
 SPEED = "<quotient><p>velocities/vt-fps</p><v>70</v></quotient>"
