@@ -141,6 +141,8 @@ def margins_command(
         elif not each.bank_deg:
             for line in _delay_lines(each):
                 console.write_line(line)
+    for note in dict.fromkeys(each.note for each in predicted if each.note):
+        console.write_line(f" {note}")
     if predicted and measured:
         console.write_line()
     if any(each.followers for each in measured):

@@ -159,7 +159,7 @@ class Control:
         if group.law is None:
             steps = (Call(_step, group.rows, *self._parts, NOW),)
         elif isinstance(group.law, CompiledLaw):
-            steps = self._compiled_law_steps(group, group.law)
+            steps = self.compiled_law_steps(group, group.law)
         else:
             inputs = allocate_inputs(len(group.rows), self._links.shape[1])
             command = allocate_command(len(group.rows))
@@ -172,8 +172,8 @@ class Control:
             return steps
         return companions.receive_states, *steps, companions.send_commands(group.rows)
 
-    def _compiled_law_steps(self, group: ControlGroup, law: CompiledLaw) -> Steps:
-        """Return the steps of a group with a user's kernel."""
+    def compiled_law_steps(self, group: ControlGroup, law: CompiledLaw) -> Steps:
+        """Return the steps of a group with a user's kernel, which may be another than its own."""
         then = partial(_report_command, law, group.config)
         return (
             self._inputs_call(group, law.own, law.inbox),

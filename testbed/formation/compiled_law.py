@@ -238,6 +238,11 @@ class CompiledLaw:
         )
         self.call.prepare()
 
+    @property
+    def memory(self) -> Records | None:
+        """Memory (n,) that `call` steps the law with; None: it has none."""
+        return self._memory
+
     def start(self, own: VehicleState) -> Records | None:
         """Return the memory (n,) before the first step."""
         return None if self._memory is None else np.zeros_like(self._memory)

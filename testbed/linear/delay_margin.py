@@ -10,8 +10,8 @@ In a graph without cycles det(I − G) is 1: no message delay can destabilise it
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from testbed.linear.linear_system import SLOWEST, LinearSystem
 from testbed.linear.period_map import PeriodMaps
 
 MAX_DELAY_S = 2.0  # additional, that is tried
+SEARCHED = 10  # delays up to it that are flown, where each needs a flight
 _FREQUENCIES = 3000
 _LOWEST_HZ = 1e-3
 _LARGEST_TURN = 0.5  # rad, of the determinant between two frequencies, for a count to be sure
@@ -46,18 +47,26 @@ class DelayMargin(NamedTuple):
     delay_s: float
 
 
-def delay_margins(maps: PeriodMaps) -> list[DelayMargin]:
+# Maps with messages these control periods later; None: that flight is not steady.
+Later: TypeAlias = Callable[[int], PeriodMaps | None]
+
+
+def delay_margins(maps: PeriodMaps, later: Later | None = None) -> list[DelayMargin]:
     """Return the margin of each set of followers that receive from each other; [] without cycles.
 
     Args:
         maps: of their control periods.
+        later: linearises them anew with later messages, for a law whose extrapolation is not known;
+            None: it is that of [HBH23].
     """
     names = [each.name for each in maps.followers]
-    return [
-        DelayMargin(own, _largest_delay(maps, [names.index(name) for name in own]))
-        for own in join(maps).coupled_parts()
-        if len(own) > 1
-    ]
+    found = []
+    for own in join(maps).coupled_parts():
+        if len(own) > 1:
+            rows = [names.index(name) for name in own]
+            delay_s = _largest_delay(maps, rows) if later is None else _search(later, maps, rows)
+            found.append(DelayMargin(own, delay_s))
+    return found
 
 
 def _largest_delay(maps: PeriodMaps, rows: Sequence[int]) -> float:
@@ -67,6 +76,29 @@ def _largest_delay(maps: PeriodMaps, rows: Sequence[int]) -> float:
         if loop.count_unstable(periods):
             return max(periods - 1, 0) * maps.dt
     return math.inf
+
+
+def _search(later: Later, maps: PeriodMaps, rows: Sequence[int]) -> float:
+    """Return the largest stable additional delay, from maps with several delays, s.
+
+    The first of SEARCHED delays that is unstable is found, then the last stable one before it by
+    bisection.
+    """
+
+    def is_stable(periods: int) -> bool:
+        found = later(periods)
+        return found is not None and not _MessageLoop(found, rows).count_unstable(0)
+
+    last = round(MAX_DELAY_S / maps.dt)
+    tried = sorted({round(k * last / SEARCHED) for k in range(SEARCHED + 1)})
+    unstable = next((periods for periods in tried if not is_stable(periods)), None)
+    if unstable is None:
+        return math.inf
+    stable = max((periods for periods in tried if periods < unstable), default=0)
+    while unstable - stable > 1:
+        middle = (stable + unstable) // 2
+        stable, unstable = (middle, unstable) if is_stable(middle) else (stable, middle)
+    return stable * maps.dt
 
 
 def _answer(maps: PeriodMaps, follower: int, sender: int) -> LinearSystem:

@@ -1,8 +1,8 @@
 """The state of the followers of a flight as vectors in the leader's frame.
 
 The state of a follower is that of its flight model, its autopilot, its middle loop and its filter
-of the leader's messages: the numbers that the flight carries from one control step to the next.
-The leader's frame is horizontal: forward, right, down.
+of the leader's messages, or the memory of a compiled law: the numbers that the flight carries from
+one control step to the next. The leader's frame is horizontal: forward, right, down.
 """
 
 from __future__ import annotations
@@ -17,9 +17,13 @@ from testbed.compiled.columns import CONSTANTS, CONTROLS, START, WIND
 from testbed.compiled.frame import quaternion_of
 from testbed.core.frames import course
 from testbed.core.records import Array, Records
+from testbed.formation.compiled_law import CompiledLaw
+from testbed.formation.law import Law
 from testbed.linear.held_flight import HeldFlight
 
-CONTROL_MEMORY = ("middle loop", "leader filter")  # beginnings of labels, the state of control
+LAW = "law"
+CONTROL_MEMORY = ("middle loop/", "leader filter/", f"{LAW}/")  # labels of the state of control
+NED = "_ned"  # end of the names of a law's vectors that are north, east, down
 _INERTIAL = ("position/eci-", "velocities/eci-", "memory/velocity_", "memory/acceleration_")
 _ATTITUDE = ("attitude/eci-", "memory/attitude_dot_")
 _STEP = 1e-5  # of a central difference, where the table has no other
@@ -73,9 +77,12 @@ class FollowerStates:
             tuple(f"autopilot/delay-{k}" for k in range(len(delayed))), delayed, "scalar"
         )
         controllers = formation.built_control.controllers
-        loop, leader_filter = CONTROL_MEMORY
-        yield from _float_fields(loop, controllers["integrals"], i)
-        yield from _float_fields(leader_filter, controllers["leader"], i, skip=("time_s",))
+        yield from _float_fields("middle loop", controllers["integrals"], i)
+        yield from _float_fields("leader filter", controllers["leader"], i, skip=("time_s",))
+        for group in formation.built_control.groups:
+            memory = law_memory(group.law)
+            if memory is not None and i in group.rows:
+                yield from _law_fields(memory, group.rows.tolist().index(i))
 
     def read(self, i: int) -> Array:
         """Return the numbers of a follower (S,), as the flight has them."""
@@ -165,6 +172,53 @@ def _float_fields(
                 several = len(view) > 1
                 names = tuple(f"{owner}/{name}{k if several else ''}" for k in range(len(view)))
                 yield _Numbers(names, view, "ned" if len(view) == 3 else "scalar")
+
+
+def law_memory(law: Law | None) -> Records | None:
+    """Return the memory (m,) of a compiled law; None: it has none, or is no compiled law."""
+    return law.memory if isinstance(law, CompiledLaw) else None
+
+
+def _law_fields(memory: Records, row: int) -> Iterator[_Numbers]:
+    """Yield the floating-point numbers of a row of a law's memory that have a value."""
+    for name in memory.dtype.names or ():
+        if memory.dtype[name].base != np.float64:
+            continue
+        view = memory[name][row : row + 1].reshape(-1)
+        if not np.isfinite(view).all():
+            continue
+        scalar = memory.dtype[name].shape == ()
+        names = tuple(f"{LAW}/{name}{'' if scalar else f'[{k}]'}" for k in range(len(view)))
+        if name.endswith(NED):
+            for k in range(0, len(view), 3):
+                yield _Numbers(names[k : k + 3], view[k : k + 3], "ned")
+        else:
+            yield _Numbers(names, view, "scalar")
+
+
+def held_fields(law: Law | None) -> tuple[str, ...]:
+    """Return the fields of a law's memory that are no state: whole numbers and flags."""
+    memory = law_memory(law)
+    if memory is None:
+        return ()
+    names: tuple[str, ...] = memory.dtype.names or ()
+    return tuple(name for name in names if memory.dtype[name].base.kind in "biu")
+
+
+def problem_of_memory(law: Law | None) -> tuple[str, str]:
+    """Return why the memory of a law cannot be linearised, and what to write; "": it can."""
+    memory = law_memory(law)
+    for name in () if memory is None else memory.dtype.names or ():
+        assert memory is not None
+        base, shape = memory.dtype[name].base, memory.dtype[name].shape
+        if base.kind == "f" and base != np.float64:
+            return f"memory {name} of the law is {base}", "write float in its declaration"
+        if name.endswith(NED) and shape[-1:] != (3,):
+            return (
+                f"memory {name} of the law is no vector",
+                f"declare 3 numbers, north, east and down, or a name without {NED}",
+            )
+    return "", ""
 
 
 def _step_of(name: str) -> float:

@@ -54,7 +54,7 @@ class GainScan(NotCopied):
         flown = load_scenario(self._name, self._overrides)
         self._flight = fly_or_refuse(flown, bank_deg, climb_mps)
         self._maps = linearise(self._flight)
-        self._fixed = _without_gains(flown)
+        self._fixed, self._law = _without_gains(flown), flown.controller.law
 
     def _why_not_copied(self) -> str:
         """See `NotCopied`: it holds a flight."""
@@ -67,17 +67,18 @@ class GainScan(NotCopied):
         """Linearise the formation with other gains.
 
         Args:
-            overrides: `key=value` as for `--set`, of keys of `controller` and gains of `formation`.
+            overrides: `key=value` as for `--set`, of keys of `controller`, also the options of a
+                user's law, and of gains of `formation`.
 
         Raises:
             InputError: the scenario cannot be flown with them, or they change more than gains.
         """
         texts = (*self._overrides, *check_overrides("overrides", overrides))
         scenario = load_scenario(self._name, texts)
-        if _without_gains(scenario) != self._fixed:
+        if scenario.controller.law != self._law or _without_gains(scenario) != self._fixed:
             raise InputError(
                 f"overrides: {', '.join(overrides)}: changes more than gains (write keys of "
-                "controller, or of formation but its offsets)"
+                "controller but its law, or of formation but its offsets)"
             )
         steady = steady_scenario(scenario, self._turn[0], "compiled", self._turn[1])
         world = build_compiled(steady)
@@ -90,10 +91,13 @@ class GainScan(NotCopied):
             )
         before = own.controllers.copy(), own.neighbours.copy()
         _copy_gains(new.controllers, new.neighbours, own.controllers, own.neighbours)
+        if not own.builtin:
+            self._flight.use_laws(new.groups)  # with other options
         try:
             maps = linearise_control(self._flight, self._maps)
         finally:
             own.controllers[:], own.neighbours[:] = before
+            self._flight.use_laws(None)
         return join(maps)
 
     def margins(self, overrides: Sequence[str] = ()) -> dict[str, dict[str, CommandMargins]]:

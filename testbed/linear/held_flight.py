@@ -7,20 +7,24 @@ to their commands.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
 from testbed.compiled.compiled_fleet import CompiledFleet
-from testbed.core.call_list import run_steps
+from testbed.core.call_list import Step, run_steps
 from testbed.core.frames import course
 from testbed.core.records import Array, Records
 from testbed.core.saved_state import SavedState
+from testbed.flight.control import ControlGroup
 from testbed.flight.loop import Flight
 from testbed.flight.schedule import Clock
 from testbed.flight.stages import FlightRecords, UserStage
 from testbed.flight.steps import copy_truth
 from testbed.flight.vehicles import JsbsimVehicles
 from testbed.flight.world import World
+from testbed.formation.compiled_law import CompiledLaw
 from testbed.formation.slots import write_formation_state
 
 MESSAGE = ("position_ned", "velocity_ned", "acceleration_ned")  # of a follower's message, 3 each
@@ -166,9 +170,10 @@ class HeldFlight:
         self._flight.prepare()
         self._flight.fly_to(-math.inf)
         control = world.formation.control
-        self._control = [
+        self._own_control = [
             step for group in range(len(control.groups)) for step in control.steps(group)
         ]
+        self._control = self._own_control
         self.dt = world.clock.control / world.clock.base_rate_hz
 
     @property
@@ -194,6 +199,27 @@ class HeldFlight:
         """Write the motion of the flight models into the records, as at the end of a tick."""
         self.fleet.write_motion()
         copy_truth(self.world.aircraft)
+
+    def use_laws(self, groups: Sequence[ControlGroup] | None) -> None:
+        """Choose the compiled laws that `step_control` steps, with the memory of the flight's own.
+
+        Args:
+            groups: with laws of the same memory as those of the flight; None: its own.
+        """
+        self._control = self._own_control
+        if groups is None:
+            return
+        control = self.world.formation.control
+        steps: list[Step] = []
+        for own, other in zip(control.groups, groups, strict=True):
+            assert isinstance(own.law, CompiledLaw) and isinstance(other.law, CompiledLaw)
+            known, used = own.law.memory, other.law.memory
+            if known is not None and used is not None:
+                steps.append(partial(_copy_memory, known, used))
+            steps += control.compiled_law_steps(other, other.law)
+            if known is not None and used is not None:
+                steps.append(partial(_copy_memory, used, known))
+        self._control = steps
 
     def step_control(self) -> None:
         """Step law and middle loop with the messages held, and nothing else."""
@@ -250,3 +276,7 @@ class HeldFlight:
             inputs.added[:] = kick if kick is not None and k * self.dt < KICK_S - 1e-9 else 0.0
             self.fly_to((begin + k + 1) * self.dt)
         return rows
+
+
+def _copy_memory(source: Records, target: Records, now: float) -> None:
+    target[:] = source

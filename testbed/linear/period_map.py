@@ -19,8 +19,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from testbed.core.records import Array, BoolArray
-from testbed.linear.follower_state import CONTROL_MEMORY, FollowerStates
+from testbed.linear.follower_state import CONTROL_MEMORY, LAW, NED, FollowerStates
 from testbed.linear.held_flight import COMMANDS, LEADER_MESSAGE, MESSAGE, HeldFlight
+from testbed.linear.steady_flight import MarginsError
 
 _OUTPUTS = 3 * len(MESSAGE) + 3 + 2  # message, slot error, roll and pitch
 # m, m/s, m/s²: with large gains more would move throttles past TRIM_THROTTLE, where ArduPlane
@@ -29,6 +30,10 @@ _MESSAGE_STEP = 0.001
 _ANGLE_STEP = 1e-4  # rad, rad/s
 _COMMAND_STEP = 1e-5  # rad, or throttle
 _WIND_STEP = 1e-3  # m/s
+_NO_EFFECT = 1e-9  # of derivatives
+# largest change of derivatives of a law's memory after the periods, as a share of the largest, and
+# of the angle by which the leader has turned; a vector in wrong axes changes by the angle
+_REPEATED, _REPEATED_PER_TURN = 1e-3, 0.1
 
 
 class FollowerMap(NamedTuple):
@@ -97,6 +102,9 @@ def linearise_periods(flight: HeldFlight, periods: int) -> PeriodMaps:
     Args:
         flight: whose time is that of a control step.
         periods: after which the flight repeats, but for its position and course.
+
+    Raises:
+        MarginsError: the memory of a user's law does not repeat with it.
     """
     states = FollowerStates(flight)
     before, _ = states.frames()
@@ -104,11 +112,16 @@ def linearise_periods(flight: HeldFlight, periods: int) -> PeriodMaps:
     from_ned, _ = states.frames()
     flight.write_errors()
     turned = from_ned @ before.T
-    law = flight.world.formation.built_control.controllers["law"]
+    control = flight.world.formation.built_control
+    law = control.controllers["law"]
+    followers = [_stacked(each) for each in zip(*parts, strict=True)]
+    if not control.builtin:
+        followers = [_without_unused(each) for each in followers]
+        _check_memory(flight, states, followers, math.acos(min(turned[0, 0], 1.0)))
     return PeriodMaps(
         flight.dt,
         float(np.linalg.norm(flight.world.aircraft["truth"]["velocity_ned"][0])),
-        tuple(_stacked(each) for each in zip(*parts, strict=True)),
+        tuple(followers),
         np.array(flight.world.aircraft["truth"]["euler"][1:, 0]),
         flight.world.followers["error_ned"] @ from_ned.T,
         np.array(flight.world.links["age_s"]),
@@ -127,14 +140,86 @@ def linearise_control(flight: HeldFlight, maps: PeriodMaps) -> PeriodMaps:
         flight: that has been linearised.
         maps: of it, with other gains and the same steady commands.
     """
+    parts = _control_maps(flight, FollowerStates(flight))
+    followers = [_with_control(old, new) for old, new in zip(maps.followers, parts, strict=True)]
+    if not flight.world.formation.built_control.builtin:
+        followers = [_without_unused(each) for each in followers]
+    return replace(maps, followers=tuple(followers))
+
+
+def _control_maps(flight: HeldFlight, states: FollowerStates) -> list[_ControlMap]:
+    """Return the derivatives of the followers' control in the next period, which is not flown."""
     present = flight.save()
-    period = _Period(flight, FollowerStates(flight), control_alone=True)
-    parts = period.linearise_control()
+    parts = _Period(flight, states, control_alone=True).linearise_control()
+    flight.inputs.end()
     present.restore()
-    followers = tuple(
-        _with_control(old, new) for old, new in zip(maps.followers, parts, strict=True)
+    return parts
+
+
+def _without_unused(follower: FollowerMap) -> FollowerMap:
+    """Return a map without the messages of followers that have no effect on it.
+
+    A user's law may use any message, and receives all of them.
+    """
+    used = [
+        j
+        for j, each in follower.b_message.items()
+        if j == 0 or max(np.abs(each).max(), np.abs(follower.d_message[j]).max()) > _NO_EFFECT
+    ]
+    return follower._replace(
+        b_message={j: follower.b_message[j] for j in used},
+        d_message={j: follower.d_message[j] for j in used},
     )
-    return replace(maps, followers=followers)
+
+
+def _check_memory(
+    flight: HeldFlight, states: FollowerStates, followers: Sequence[FollowerMap], turned: float
+) -> None:
+    """Check that the derivatives of the memory of a user's law repeat in the leader's frame.
+
+    A vector that turns with the aircraft and is taken as one that does not, or the reverse, has
+    others after each turn.
+
+    Args:
+        flight: after the linearised periods.
+        states: of its followers.
+        followers: their maps.
+        turned: rad, of the leader's course in these periods.
+
+    Raises:
+        MarginsError: they do not repeat.
+    """
+    if not any(label.startswith(f"{LAW}/") for each in followers for label in each.labels):
+        return
+    tolerance = max(_REPEATED, _REPEATED_PER_TURN * turned)
+    for old, new in zip(followers, _control_maps(flight, states), strict=True):
+        own = np.array([label.startswith(f"{LAW}/") for label in old.labels])
+        # by the other states: the share of itself that a number keeps says nothing of axes
+        pairs = (
+            (old.a[0][own][:, ~own], new.a[own][:, ~own]),
+            (old.c_command[0][:, own].T, new.c_command[:, own].T),
+        )
+        fields = [label.partition("[")[0] for label in old.labels if label.startswith(f"{LAW}/")]
+        for before, after in pairs:
+            for field in dict.fromkeys(fields):
+                rows = np.array([each == field for each in fields])
+                largest = float(np.abs(before[rows]).max())
+                if np.abs(after - before)[rows].max() > tolerance * largest + _NO_EFFECT:
+                    _refuse_memory(old.name, field.removeprefix(f"{LAW}/"))
+
+
+def _refuse_memory(follower: str, field: str) -> None:
+    if field.endswith(NED):
+        remedy = f"write a name without {NED}, if it does not turn with the aircraft"
+    else:
+        remedy = (
+            f"write {field}{NED} if it is a vector of north, east and down, and let a law do the "
+            "same in each of its steps"
+        )
+    raise MarginsError(
+        f"controller.law: the effect of memory {field} of {follower} changes in a steady turn "
+        f"({remedy})"
+    )
 
 
 def _with_control(follower: FollowerMap, control: _ControlMap) -> FollowerMap:
@@ -150,11 +235,16 @@ def _with_control(follower: FollowerMap, control: _ControlMap) -> FollowerMap:
         return changed
 
     a = replaced(follower.a, control.a, control.c_command - follower.c_command)
-    b_message = {
-        j: replaced(old, control.b_message[j], control.d_message[j] - follower.d_message[j])
-        for j, old in follower.b_message.items()
-    }
     shape = np.ones((len(follower.a), 1, 1))
+    nothing = np.zeros(1)
+    b_message = {
+        j: replaced(
+            shape * follower.b_message.get(j, nothing),
+            control.b_message[j],
+            each - follower.d_message.get(j, nothing),
+        )
+        for j, each in control.d_message.items()
+    }
     return follower._replace(
         a=a,
         c_command=shape * control.c_command,

@@ -8,19 +8,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from testbed.compiled.compiled_fleet import CompiledFleet
 from testbed.core.compile import is_interpreted
+from testbed.core.records import join_names
 from testbed.flight.world import World
+from testbed.formation.compiled_law import CompiledLaw
 from testbed.linear.delay_margin import DelayMargin, delay_margins
+from testbed.linear.follower_state import held_fields, problem_of_memory
 from testbed.linear.held_flight import COMMANDS, HeldFlight
 from testbed.linear.linear_formation import command_margins, join
 from testbed.linear.linear_system import Mode
 from testbed.linear.loop_margins import CommandMargins
-from testbed.linear.period_map import PeriodMaps, linearise_periods
+from testbed.linear.period_map import PeriodMaps, linearise_control, linearise_periods
 from testbed.linear.steady_flight import MarginsError, banks_deg, fly_steadily
 from testbed.scenario import Scenario
+from testbed.scenario.arguments import with_changes
+from testbed.scenario.network import Link
 
 AIRSPEED_S = 0.1  # period of the autopilots' airspeed filters
 
@@ -53,12 +60,14 @@ class Prediction:
         followers: empty where there is a problem.
         problem: why there are no numbers; "": there are.
         message_delays: margins of the followers that receive from each other, in straight flight.
+        note: memory of a user's law that is held; "": none.
     """
 
     bank_deg: float
     followers: tuple[PredictedMargins, ...]
     problem: str
     message_delays: tuple[DelayMargin, ...] = ()
+    note: str = ""
 
 
 def predict_margins(scenario: Scenario, bank_deg: float, climb_mps: float = 0.0) -> Prediction:
@@ -85,8 +94,62 @@ def predict_margins(scenario: Scenario, bank_deg: float, climb_mps: float = 0.0)
         commands = command_margins(own, name)
         followers.append(PredictedMargins(name, bank, least, commands, modes))
     # late messages lead to another circle than the one that is linearised
-    delays = () if bank_deg else tuple(delay_margins(maps))
-    return Prediction(bank_deg, tuple(followers), "", delays)
+    delays: Sequence[DelayMargin] = ()
+    if not bank_deg:
+        builtin = flight.world.formation.built_control.builtin
+        later = None if builtin else _LaterMessages(scenario, climb_mps, maps)
+        delays = delay_margins(maps, later)
+    return Prediction(bank_deg, tuple(followers), "", tuple(delays), _describe_held(flight.world))
+
+
+def _describe_held(world: World) -> str:
+    """Name the memory of a user's law that is no state."""
+    groups = world.formation.built_control.groups
+    names = dict.fromkeys(name for each in groups for name in held_fields(each.law))
+    if not names:
+        return ""
+    return f"held, as whole numbers and flags have no derivatives: memory {join_names(list(names))}"
+
+
+class _LaterMessages:
+    """The maps of a formation with later messages, for a law whose use of them is not known.
+
+    The formation is flown until it is steady with each delay, and its control is linearised there.
+    """
+
+    def __init__(self, scenario: Scenario, climb_mps: float, maps: PeriodMaps) -> None:
+        self._scenario, self._climb_mps, self._maps = scenario, climb_mps, maps
+        self._known: dict[int, PeriodMaps | None] = {0: maps}
+
+    def __call__(self, periods: int) -> PeriodMaps | None:
+        """Return the maps with messages these control periods later; None: it is not steady."""
+        if periods not in self._known:
+            self._known[periods] = self._linearise(periods * self._maps.dt)
+        return self._known[periods]
+
+    def _linearise(self, delay_s: float) -> PeriodMaps | None:
+        late = with_later_messages(self._scenario, delay_s)
+        flight, problem = fly_linearisable(late, 0.0, self._climb_mps)
+        if problem:
+            return None
+        maps = linearise_control(flight, self._maps)
+        return replace(maps, age_s=np.array(flight.world.links["age_s"]))
+
+
+def with_later_messages(scenario: Scenario, delay_s: float) -> Scenario:
+    """Return a scenario whose messages all arrive later."""
+    network = scenario.network
+    links = {
+        sender: {receiver: _later(link, delay_s) for receiver, link in receivers.items()}
+        for sender, receivers in network.links.items()
+    }
+    whole = (network.delay_s or 0.0) + delay_s
+    return with_changes(scenario, network=with_changes(network, delay_s=whole, links=links))
+
+
+def _later(link: Link, delay_s: float) -> Link:
+    """Return a link with a larger delay; one without its own has that of all links."""
+    return link if link.delay_s is None else with_changes(link, delay_s=link.delay_s + delay_s)
 
 
 def worse_prediction(turns: Sequence[Prediction]) -> Prediction:
@@ -97,7 +160,8 @@ def worse_prediction(turns: Sequence[Prediction]) -> Prediction:
     followers = tuple(
         _worse_of(pair) for pair in zip(*(each.followers for each in turns), strict=True)
     )
-    return Prediction(abs(turns[0].bank_deg), followers, "", turns[0].message_delays)
+    first = turns[0]
+    return Prediction(abs(first.bank_deg), followers, "", first.message_delays, first.note)
 
 
 def _worse_of(pair: Sequence[PredictedMargins]) -> PredictedMargins:
@@ -167,11 +231,18 @@ def _check_linearisable(world: World) -> None:
     """
     clock, formation = world.clock, world.formation
     phases = {*clock.control_phases, *clock.broadcast_phases}
+    laws = [each.law for each in formation.built_control.groups]
+    memory = [found for found in map(problem_of_memory, laws) if found[0]]
     if world.fleet is not None and not isinstance(world.fleet, CompiledFleet):
         problem, remedy = world.fleet.engine_reason, "write another aircraft, such as rascal110"
-    elif not formation.built_control.builtin:
-        problem = "a law of your own has a state that is not known"
-        remedy = "write controller.law: hbh23"
+    elif not all(each is None or isinstance(each, CompiledLaw) for each in laws):
+        problem = "a law that is a Python class has a memory that is not known"
+        remedy = (
+            "write it as a function under @testbed.kernel that steps one follower, with its memory "
+            "declared, as in docs/own-law.md"
+        )
+    elif memory:
+        problem, remedy = memory[0]
     elif formation.companions is not None:
         problem, remedy = (
             "companion computers hold commands back",
