@@ -165,7 +165,7 @@ class _MessageLoop:
         width = size * len(self._rows)
         loop = np.zeros((len(self._z), width, width), dtype=complex)
         for (i, j), response in self._responses.items():
-            age = round(float(np.nan_to_num(maps.age_s[i, j + 1])) / maps.dt) + periods
+            age = maps.periods_late(i, j) + periods
             used = self._extrapolated(i, periods) @ turned_message(age * maps.turn)
             at, of = self._rows.index(i), self._rows.index(j)
             block = response @ used * self._z[:, np.newaxis, np.newaxis] ** -age

@@ -52,11 +52,12 @@ class FollowerStates:
     Attributes:
         labels: names of the S numbers of each.
         steps: (S,) of each, of their central differences.
+        ahead: rad, by which the leader's course is ahead of that of the frame.
     """
 
     def __init__(self, flight: HeldFlight) -> None:
         """Find the numbers of a flight in which all filters have started."""
-        self._flight = flight
+        self._flight, self.ahead = flight, 0.0
         self._numbers = [list(self._find(i)) for i in range(len(flight.world.followers))]
         self._attitudes: list[Array | None] = [None] * len(self._numbers)
         self.labels = [tuple(name for each in one for name in each.names) for one in self._numbers]
@@ -66,7 +67,11 @@ class FollowerStates:
         vehicles, fleet = self._flight.vehicles, self._flight.fleet
         row = vehicles.rows.tolist().index(i + 1)
         [kind] = [each for each in fleet.kinds if row in each.which]
-        yield from _model_numbers(list(kind.aircraft.columns), kind.state[row])
+        clock = self._flight.world.clock
+        # a control step between two periods of the autopilot, whose controls are those before
+        between = clock.control_phases[i] % clock.autopilot != 0
+        columns = list(kind.aircraft.columns)
+        yield from _model_numbers(columns, kind.state[row], with_controls=between)
         controls = tuple(f"last {name}" for name in CONTROLS.columns)
         yield _Numbers(controls, fleet.last_controls[row], "scalar")
         autopilots, formation = vehicles.autopilots, self._flight.world.formation
@@ -98,7 +103,7 @@ class FollowerStates:
     def frames(self) -> tuple[Array, Array]:
         """Return the rotations (3, 3) from NED, and from inertial axes, to the leader's frame."""
         world, fleet = self._flight.world, self._flight.fleet
-        turn = float(course(world.aircraft["truth"]["velocity_ned"][0]))
+        turn = float(course(world.aircraft["truth"]["velocity_ned"][0])) - self.ahead
         from_ned = about_vertical(turn)
         origin, kind = world.info.origin, fleet.kinds[0]
         earth_angle = float(kind.state[kind.which[0], START["earth_angle"]])
@@ -140,9 +145,10 @@ def about_vertical(angle: float) -> Array:
     return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-def _model_numbers(names: Sequence[str], row: Array) -> Iterator[_Numbers]:
+def _model_numbers(names: Sequence[str], row: Array, *, with_controls: bool) -> Iterator[_Numbers]:
     """Yield the numbers of a row of a flight model that are no inputs or constants."""
-    skipped = {name for each in (*CONSTANTS, CONTROLS, WIND) for name in each.columns}
+    inputs = (WIND,) if with_controls else (CONTROLS, WIND)
+    skipped = {name for each in (*CONSTANTS, *inputs) for name in each.columns}
     skipped.add("position/epa-rad")
     at = 0
     while at < len(names):

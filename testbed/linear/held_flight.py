@@ -15,7 +15,7 @@ import numpy as np
 from testbed.compiled.compiled_fleet import CompiledFleet
 from testbed.core.call_list import Step, run_steps
 from testbed.core.frames import course
-from testbed.core.records import Array, Records
+from testbed.core.records import LINK, Array, Records, allocate
 from testbed.core.saved_state import SavedState
 from testbed.flight.control import ControlGroup
 from testbed.flight.loop import Flight
@@ -50,6 +50,8 @@ class InputChanges:
         gain: (n, 3) factor of the commands' deviations from the steady ones.
         latency_s: (n, 3) of the commands, additional.
         computed: (n, 3) commands that the autopilots were given last, before all this.
+        keeps_next: whether the messages of the next control step are copied to `delivered`.
+        delivered: (n, N) of LINK.
     """
 
     CONSTANT = True  # no state of the flight
@@ -64,6 +66,7 @@ class InputChanges:
                 at control steps only.
         """
         self.held: Records | None = None
+        self.keeps_next, self.delivered = False, allocate(LINK, n, n + 1)
         self.messages = np.zeros((n, n + 1, 3 * len(LEADER_MESSAGE)))
         self._clock, self._each_period = clock, each_period
         self._rate_hz = clock.base_rate_hz / clock.autopilot
@@ -100,6 +103,8 @@ class InputChanges:
         )
 
     def _hold(self, now: float, records: FlightRecords) -> None:
+        if self.keeps_next:
+            self.delivered, self.keeps_next = records.links.copy(), False
         self.write_messages(records.links)
 
     def write_messages(self, links: Records) -> None:
@@ -190,6 +195,12 @@ class HeldFlight:
     def fly_to(self, until_s: float) -> None:
         """Fly on to a tick."""
         self._flight.fly_to(until_s)
+
+    def fly_on_with_messages(self, until_s: float) -> Records:
+        """Fly on to a tick; return the messages (n, N) of LINK of the first control step."""
+        self.inputs.keeps_next = True
+        self.fly_to(until_s)
+        return self.inputs.delivered
 
     def save(self) -> SavedState:
         """Save the present, without the changes of inputs."""

@@ -91,9 +91,9 @@ def join(maps: PeriodMaps) -> LinearSystem:
     for i, each in enumerate(maps.followers):
         for j in each.b_message:
             if j:
-                age = round(float(np.nan_to_num(maps.age_s[i, j])) / maps.dt)
+                late = maps.periods_late(i, j - 1)
                 to = received(each.name, names[j - 1])
-                system = system.connect(f"{names[j - 1]}.message", to, late=age, turned=turned)
+                system = system.connect(f"{names[j - 1]}.message", to, late=late, turned=turned)
     return system.select(
         ["wind", "leader", *(f"{name}.{command}" for name in names for command in COMMANDS)],
         [f"{name}.{output}" for name in names for output in (*COMMANDS, *_SHOWN)],

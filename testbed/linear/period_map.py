@@ -7,12 +7,15 @@ While one follower changes, the others' messages to it are held, so all can chan
 
 Vectors are resolved in the leader's horizontal frame: forward, right, down. In it the maps of
 periods that the flight repeats are equal, straight or turning.
+
+A period begins with a control step of the follower. Where followers have phases of their own, each
+has its own beginning, by its phase later than the leader's, whose frame then is that of all.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -79,10 +82,11 @@ class PeriodMaps:
         followers: n.
         bank: (n,) rad, of the followers.
         error: (n, 3) m, their steady slot errors, forward, right, down.
-        age_s: (n, N) s, ages of the messages used; NaN: not used.
+        age_s: (n, N) s, ages of the messages used, at the control step; NaN: not used.
         turn: rad, of the leader's course in a period.
         from_timestamp: (n,) whether messages are extrapolated from their stamp.
         with_acceleration: (n,) whether along a parabola.
+        phase_s: (n,) s, by which their control, and with it their messages, follow the leader's.
     """
 
     dt: float
@@ -94,6 +98,18 @@ class PeriodMaps:
     turn: float
     from_timestamp: BoolArray
     with_acceleration: BoolArray
+    phase_s: Array
+
+    def periods_late(self, follower: int, sender: int) -> int:
+        """Return how many control periods earlier than a follower its message's sender began.
+
+        Args:
+            follower: 0..n-1.
+            sender: another follower.
+        """
+        age = float(np.nan_to_num(self.age_s[follower, sender + 1]))
+        apart = float(self.phase_s[sender] - self.phase_s[follower])
+        return round((age + apart) / self.dt)
 
 
 def linearise_periods(flight: HeldFlight, periods: int) -> PeriodMaps:
@@ -107,28 +123,73 @@ def linearise_periods(flight: HeldFlight, periods: int) -> PeriodMaps:
         MarginsError: the memory of a user's law does not repeat with it.
     """
     states = FollowerStates(flight)
-    before, _ = states.frames()
-    parts = [_Period(flight, states).linearise() for _ in range(periods)]
-    from_ned, _ = states.frames()
-    flight.write_errors()
-    turned = from_ned @ before.T
     control = flight.world.formation.built_control
     law = control.controllers["law"]
-    followers = [_stacked(each) for each in zip(*parts, strict=True)]
-    if not control.builtin:
-        followers = [_without_unused(each) for each in followers]
-        _check_memory(flight, states, followers, math.acos(min(turned[0, 0], 1.0)))
+    turn = _turn_in(flight, periods)
+    followers: dict[int, FollowerMap] = {}
+    for group in _groups(flight, turn):
+        parts = [_Period(flight, states, group).linearise() for _ in range(periods)]
+        maps = [_stacked(each) for each in zip(*parts, strict=True)]
+        if not control.builtin:
+            maps = [_without_unused(each) for each in maps]
+            _check_memory(flight, states, maps, group, periods * abs(turn))
+        followers |= zip(group.rows, maps, strict=True)
+    from_ned, _ = states.frames()
+    flight.write_errors()
     return PeriodMaps(
         flight.dt,
         float(np.linalg.norm(flight.world.aircraft["truth"]["velocity_ned"][0])),
-        tuple(followers),
+        tuple(followers[i] for i in sorted(followers)),
         np.array(flight.world.aircraft["truth"]["euler"][1:, 0]),
         flight.world.followers["error_ned"] @ from_ned.T,
         np.array(flight.world.links["age_s"]),
-        math.atan2(turned[0, 1], turned[0, 0]) / periods,
+        turn,
         np.array(law["from_timestamp"]),
         np.array(law["with_acceleration"]),
+        np.array(flight.world.clock.control_phases) / flight.world.clock.base_rate_hz,
     )
+
+
+class _Group(NamedTuple):
+    """Followers whose control steps at the same ticks.
+
+    Attributes:
+        rows: of the n followers.
+        phase_s: s, by which their control follows the leader's.
+        turned: rad, of the leader's course in that time.
+    """
+
+    rows: list[int]
+    phase_s: float
+    turned: float
+
+
+def _groups(flight: HeldFlight, turn: float) -> Iterator[_Group]:
+    """Fly on to the next control step of each group of followers, and yield the group."""
+    clock = flight.world.clock
+    for rows in clock.groups:
+        phase = clock.control_phases[rows[0]]
+        tick = clock.ticks(flight.time_s)
+        if ahead := (phase - tick) % clock.control:
+            flight.fly_to(clock.time_s(tick + ahead))
+        yield _Group(list(rows), phase / clock.base_rate_hz, turn * phase / clock.control)
+
+
+def _turn_in(flight: HeldFlight, periods: int) -> float:
+    """Return the angle by which the leader's course turns in a control period, rad."""
+    present, inputs = flight.save(), flight.inputs
+    inputs.end()
+
+    def direction() -> Array:
+        velocity: Array = np.array(flight.world.aircraft["truth"]["velocity_ned"][0, :2])
+        return velocity
+
+    before = direction()
+    flight.fly_to(flight.time_s + periods * flight.dt)
+    after = direction()
+    present.restore()
+    across = before[0] * after[1] - before[1] * after[0]
+    return math.atan2(across, float(before @ after)) / periods
 
 
 def linearise_control(flight: HeldFlight, maps: PeriodMaps) -> PeriodMaps:
@@ -140,17 +201,20 @@ def linearise_control(flight: HeldFlight, maps: PeriodMaps) -> PeriodMaps:
         flight: that has been linearised.
         maps: of it, with other gains and the same steady commands.
     """
-    parts = _control_maps(flight, FollowerStates(flight))
-    followers = [_with_control(old, new) for old, new in zip(maps.followers, parts, strict=True)]
+    states, parts, present = FollowerStates(flight), dict[int, _ControlMap](), flight.save()
+    for group in _groups(flight, maps.turn):
+        parts |= zip(group.rows, _control_maps(flight, states, group), strict=True)
+    present.restore()
+    followers = [_with_control(old, parts[i]) for i, old in enumerate(maps.followers)]
     if not flight.world.formation.built_control.builtin:
         followers = [_without_unused(each) for each in followers]
     return replace(maps, followers=tuple(followers))
 
 
-def _control_maps(flight: HeldFlight, states: FollowerStates) -> list[_ControlMap]:
-    """Return the derivatives of the followers' control in the next period, which is not flown."""
+def _control_maps(flight: HeldFlight, states: FollowerStates, group: _Group) -> list[_ControlMap]:
+    """Return the derivatives of a group's control in its next period, which is not flown."""
     present = flight.save()
-    parts = _Period(flight, states, control_alone=True).linearise_control()
+    parts = _Period(flight, states, group, control_alone=True).linearise_control()
     flight.inputs.end()
     present.restore()
     return parts
@@ -173,7 +237,11 @@ def _without_unused(follower: FollowerMap) -> FollowerMap:
 
 
 def _check_memory(
-    flight: HeldFlight, states: FollowerStates, followers: Sequence[FollowerMap], turned: float
+    flight: HeldFlight,
+    states: FollowerStates,
+    followers: Sequence[FollowerMap],
+    group: _Group,
+    turned: float,
 ) -> None:
     """Check that the derivatives of the memory of a user's law repeat in the leader's frame.
 
@@ -183,7 +251,8 @@ def _check_memory(
     Args:
         flight: after the linearised periods.
         states: of its followers.
-        followers: their maps.
+        followers: maps of a group.
+        group: of these.
         turned: rad, of the leader's course in these periods.
 
     Raises:
@@ -192,7 +261,7 @@ def _check_memory(
     if not any(label.startswith(f"{LAW}/") for each in followers for label in each.labels):
         return
     tolerance = max(_REPEATED, _REPEATED_PER_TURN * turned)
-    for old, new in zip(followers, _control_maps(flight, states), strict=True):
+    for old, new in zip(followers, _control_maps(flight, states, group), strict=True):
         own = np.array([label.startswith(f"{LAW}/") for label in old.labels])
         # by the other states: the share of itself that a number keeps says nothing of axes
         pairs = (
@@ -285,35 +354,40 @@ class _ControlMap(NamedTuple):
 
 
 class _Period:
-    """One control period that is flown with changes."""
+    """One control period of a group of followers that is flown with changes."""
 
     def __init__(
-        self, flight: HeldFlight, states: FollowerStates, *, control_alone: bool = False
+        self,
+        flight: HeldFlight,
+        states: FollowerStates,
+        group: _Group,
+        *,
+        control_alone: bool = False,
     ) -> None:
         """Fly the period without changes, and keep its beginning and its end.
 
         Args:
-            flight: whose time is that of a control step.
+            flight: whose time is that of a control step of the group.
             states: of its followers.
+            group: of followers that are linearised.
             control_alone: with changes, step the control alone.
         """
         self._control_alone = control_alone
-        self._flight, self._states = flight, states
-        self._n = len(states.labels)
+        self._flight, self._states, self._rows = flight, states, group.rows
         self._begin, self._until = flight.save(), flight.time_s + flight.dt
-        self._bases = [states.basis(i) for i in range(self._n)]
+        states.ahead = group.turned
+        self._bases = {i: states.basis(i) for i in self._rows}
         self._from_ned, _ = states.frames()
         flight.inputs.end()
-        flight.fly_to(self._until)
-        # one control step: the links at the end are those that it has used
-        flight.inputs.held = flight.world.links.copy()
-        self._ends = [states.basis(i) for i in range(self._n)]
+        # those that the control step uses; messages that arrive later in the period are others
+        flight.inputs.held = flight.fly_on_with_messages(self._until)
+        self._ends = {i: states.basis(i) for i in self._rows}
         self._end = flight.save()
 
     def linearise(self) -> list[FollowerMap]:
         """Return the maps of the followers, without an axis of periods, and end the period."""
         states, inputs = self._states, self._flight.inputs
-        sizes = [len(each) for each in states.labels]
+        sizes = [len(states.labels[i]) for i in self._rows]
         by_state = [self._by_state(k) for k in range(max(sizes))]
         by_command = [self._by_command(k) for k in range(len(COMMANDS))]
         by_wind = [self._by_wind(k) for k in range(3)]
@@ -321,8 +395,8 @@ class _Period:
         self._end.restore()
         inputs.end()
         maps = []
-        for i, size in enumerate(sizes):
-            own = [each[i] for each in by_state[:size]]
+        for at, (i, size) in enumerate(zip(self._rows, sizes, strict=True)):
+            own = [each[at] for each in by_state[:size]]
             maps.append(
                 FollowerMap(
                     self._flight.world.names[i + 1],
@@ -330,43 +404,43 @@ class _Period:
                     _columns(each.state for each in own),
                     _columns(each.command for each in own),
                     _columns(each.output for each in own),
-                    _columns(each[i].state for each in by_command),
-                    _columns(each[i].state for each in by_wind),
-                    *self._message_columns(by_message, i),
+                    _columns(each[at].state for each in by_command),
+                    _columns(each[at].state for each in by_wind),
+                    *self._message_columns(by_message, at),
                 )
             )
         return maps
 
     def linearise_control(self) -> list[_ControlMap]:
         """Return the derivatives of the followers' control."""
-        sizes = [len(each) for each in self._states.labels]
+        sizes = [len(self._states.labels[i]) for i in self._rows]
         by_state = [self._by_state(k) for k in range(max(sizes))]
         by_message = self._by_messages()
         return [
             _ControlMap(
-                _columns(each[i].state for each in by_state[:size]),
-                _columns(each[i].command for each in by_state[:size]),
-                *self._message_columns(by_message, i),
+                _columns(each[at].state for each in by_state[:size]),
+                _columns(each[at].command for each in by_state[:size]),
+                *self._message_columns(by_message, at),
             )
-            for i, size in enumerate(sizes)
+            for at, size in enumerate(sizes)
         ]
 
     def _by_messages(self) -> dict[int, list[list[_Derivative]]]:
         """Return the derivatives by each number of each message, by the row of its sender."""
-        used = self._neighbours.any(axis=0)
+        used = self._neighbours[self._rows].any(axis=0)
         return {
             j: [self._by_message(j, k) for k in range(3 * len(MESSAGE if j else LEADER_MESSAGE))]
             for j in np.flatnonzero(used).tolist()
         }
 
     def _message_columns(
-        self, by_message: dict[int, list[list[_Derivative]]], i: int
+        self, by_message: dict[int, list[list[_Derivative]]], at: int
     ) -> tuple[dict[int, Array], dict[int, Array]]:
-        """Return `b_message` and `d_message` of a follower."""
-        used = [j for j in by_message if self._neighbours[i, j]]
+        """Return `b_message` and `d_message` of a follower of the group, by its position in it."""
+        used = [j for j in by_message if self._neighbours[self._rows[at], j]]
         return (
-            {j: _columns(each[i].state for each in by_message[j]) for j in used},
-            {j: _columns(each[i].command for each in by_message[j]) for j in used},
+            {j: _columns(each[at].state for each in by_message[j]) for j in used},
+            {j: _columns(each[at].command for each in by_message[j]) for j in used},
         )
 
     @property
@@ -376,14 +450,14 @@ class _Period:
 
     def _by_state(self, k: int) -> list[_Derivative]:
         """Return the derivatives of each follower by the k-th number of its state."""
-        those = [i for i in range(self._n) if k < len(self._states.labels[i])]
-        steps = np.ones(self._n)
-        for i in those:
-            steps[i] = self._states.steps[i][k]
+        steps = np.ones(len(self._rows))
+        those = [(at, i) for at, i in enumerate(self._rows) if k < len(self._states.labels[i])]
+        for at, i in those:
+            steps[at] = self._states.steps[i][k]
 
         def change(sign: float) -> None:
-            for i in those:
-                self._states.add(i, sign * steps[i] * self._bases[i][k])
+            for at, i in those:
+                self._states.add(i, sign * steps[at] * self._bases[i][k])
 
         return self._differ(change, steps)
 
@@ -393,7 +467,7 @@ class _Period:
         def change(sign: float) -> None:
             added[:, k] = sign * _COMMAND_STEP
 
-        found = self._differ(change, np.full(self._n, _COMMAND_STEP))
+        found = self._differ(change, np.full(len(self._rows), _COMMAND_STEP))
         added[:] = 0.0
         return found
 
@@ -404,7 +478,7 @@ class _Period:
             wind[1:] += sign * _WIND_STEP * self._from_ned[axis]
             self._flight.fleet.write_wind(self._flight.time_s)
 
-        return self._differ(change, np.full(self._n, _WIND_STEP))
+        return self._differ(change, np.full(len(self._rows), _WIND_STEP))
 
     def _by_message(self, sender: int, k: int) -> list[_Derivative]:
         messages = self._flight.inputs.messages
@@ -417,7 +491,7 @@ class _Period:
             messages[:] = 0.0
             messages[:, sender, first : first + 3] = sign * step * direction
 
-        found = self._differ(change, np.full(self._n, step))
+        found = self._differ(change, np.full(len(self._rows), step))
         messages[:] = 0.0
         return found
 
@@ -426,7 +500,7 @@ class _Period:
 
         Args:
             change: makes the change, with a sign.
-            steps: (n,) of each follower's number.
+            steps: of each follower's number.
         """
         later, sooner = self._fly(change, 1.0), self._fly(change, -1.0)
         return [
@@ -436,21 +510,19 @@ class _Period:
 
     def _fly(self, change: Callable[[float], None], sign: float) -> list[_Derivative]:
         """Fly the period with a change: states at its end, outputs at its begin, commands."""
-        flight = self._flight
+        flight, inputs = self._flight, self._flight.inputs
         self._begin.restore()
         change(sign)
         flight.write_motion()
         flight.write_errors()
-        outputs = [self._outputs(i) for i in range(self._n)]
+        outputs = [self._outputs(i) for i in self._rows]
         if self._control_alone:
             flight.step_control()
         else:
             flight.fly_to(self._until)
         return [
-            _Derivative(
-                self._ends[i] @ self._states.read(i), outputs[i], flight.inputs.computed[i].copy()
-            )
-            for i in range(self._n)
+            _Derivative(self._ends[i] @ self._states.read(i), output, inputs.computed[i].copy())
+            for i, output in zip(self._rows, outputs, strict=True)
         ]
 
     def _outputs(self, i: int) -> Array:

@@ -230,7 +230,6 @@ def _check_linearisable(world: World) -> None:
         NotLinearisable: it is not; with what to write.
     """
     clock, formation = world.clock, world.formation
-    phases = {*clock.control_phases, *clock.broadcast_phases}
     laws = [each.law for each in formation.built_control.groups]
     memory = [found for found in map(problem_of_memory, laws) if found[0]]
     if world.fleet is not None and not isinstance(world.fleet, CompiledFleet):
@@ -248,10 +247,10 @@ def _check_linearisable(world: World) -> None:
             "companion computers hold commands back",
             "write controller.companion: {state_latency_s: 0, command_latency_s: 0}",
         )
-    elif phases != {0} or clock.broadcast != clock.control:
+    elif clock.broadcast != clock.control or clock.transmit_schedules:
         problem = "messages are not sent at each control step"
-        remedy = "write rates.broadcast_hz as control_hz, and synchronous: true"
-    elif world.is_random:
+        remedy = "write rates.broadcast_hz as control_hz, and no network.tdma or network.broadcast"
+    elif formation.radio.is_random:
         problem = "the network is random"
         remedy = "write a network without chance: delay_s alone"
     else:

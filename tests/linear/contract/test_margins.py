@@ -344,8 +344,8 @@ def test_a_turn_at_the_limit_has_no_room_for_kicks(turn, monkeypatch):
         (
             "rates={broadcast_hz: 5, synchronous: false}",
             "messages are not sent",
-            "(write rates.broadcast_hz as control_hz, and synchronous: true)",
-            ["rates.broadcast_hz=25", "rates.synchronous=true"],
+            "(write rates.broadcast_hz as control_hz, and no network.tdma or network.broadcast)",
+            ["rates.broadcast_hz=25"],
         ),
         (
             "network.loss=0.1",
