@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_args
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.table import Table
@@ -90,15 +90,20 @@ def delay_command(
     the slot error from that with a perfect network: forward, right and down of the leader's course.
 
     Each delay is taken twice: with messages extrapolated from their receipt, as in the paper, which
-    leaves the delay as it is, and from the time of measurement, which compensates it. Losses of
+    leaves the delay as it is, and from the time of measurement, which compensates it. A law of your
+    own receives messages as they are, if controller.extrapolate_from is not set. Losses of
     network.loss count too.
 
-    Predicted offsets are the equilibrium of the law with messages of that age. Flown are the same
-    flights with the scenario's aircraft and middle loop.
+    Predicted offsets are the equilibrium of the paper's law with messages of that age. Flown are
+    the same flights with the scenario's aircraft and middle loop; those of a law of your own are
+    always flown.
     """
     from testbed.cli.progress import progress_counter
+    from testbed.linear.delay_flight import is_known_law, origins
 
     loaded = load_scenario(scenario, overrides)
+    if not is_known_law(loaded):
+        method = Method.FLOWN
     times = split_list(delays)
     with error_places(scenario, overrides):
         if method is Method.PREDICTED:
@@ -108,7 +113,7 @@ def delay_command(
                 rows = []
                 for row in _rows(loaded, times, bank, method):
                     rows.append(row)
-                    progress(len(rows), 2 * len(times))
+                    progress(len(rows), len(times) * len(origins(loaded)))
     write_json_output(json, _document(loaded, bank, rows))
     if plot:
         _draw(loaded, bank, rows, plot)
@@ -117,6 +122,8 @@ def delay_command(
     profile = loaded.controller.profile
     console.write_heading(loaded.name, f" · profile {profile} · {turn}")
     console.print_table(_table(loaded.aircraft_names[1:], rows))
+    if not is_known_law(loaded):
+        console.write_line(" flown, because the equilibrium of a law of your own is not known")
     for row in rows:
         for how, found in (("predicted", row.predicted), ("flown", row.flown)):
             if found is not None and (found.problem or found.note):
@@ -129,8 +136,8 @@ def _rows(
     scenario: Scenario, delays: Sequence[float], bank: float, method: Method
 ) -> Iterator[_DelayRow]:
     from testbed.linear.delay_flight import (
-        Origin,
         fly_errors,
+        origins,
         predict_errors,
         with_network,
         without_network,
@@ -144,10 +151,10 @@ def _rows(
         finds["flown"] = fly_errors
     bases = {how: find(perfect, bank) for how, find in finds.items()}
     for delay_s in delays:
-        for origin in get_args(Origin):
+        for origin in origins(scenario):
             late = with_network(scenario, delay_s, origin)
             found = {how: _differ(find(late, bank), bases[how]) for how, find in finds.items()}
-            yield _DelayRow(delay_s, origin, found.get("predicted"), found.get("flown"))
+            yield _DelayRow(delay_s, origin or "law", found.get("predicted"), found.get("flown"))
 
 
 def _differ(late: SteadyErrors, perfect: SteadyErrors) -> SteadyErrors:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +39,7 @@ from testbed.scenario.arguments import with_changes
 from testbed.scenario.network import Bernoulli, Link, Network
 
 Origin = Literal["receipt", "timestamp"]  # of the extrapolation
+BUILT_IN = "hbh23"  # the law whose equilibrium is known
 SETTLE_S = 900.0  # the integral of the course takes p/i, some 170 s
 LOOK_S, RANDOM_LOOK_S = 5.0, 600.0  # that are averaged; the second with losses
 SAMPLE_S = 0.2  # the airspeed filters repeat after 0.2 s
@@ -62,7 +63,19 @@ class SteadyErrors:
     note: str = ""
 
 
-def with_network(scenario: Scenario, delay_s: float, origin: Origin) -> Scenario:
+def is_known_law(scenario: Scenario) -> bool:
+    """Return whether errors can be predicted: a user's law has an equilibrium of its own."""
+    return scenario.controller.law == BUILT_IN
+
+
+def origins(scenario: Scenario) -> tuple[Origin | None, ...]:
+    """Return the origins of the extrapolation to compare; None: a user's law extrapolates."""
+    if not is_known_law(scenario) and scenario.controller.extrapolate_from is None:
+        return (None,)
+    return get_args(Origin)
+
+
+def with_network(scenario: Scenario, delay_s: float, origin: Origin | None) -> Scenario:
     """Return a scenario with another delay of the messages and another origin of extrapolation."""
     return with_changes(
         scenario,
@@ -213,7 +226,7 @@ def check_predictable(scenario: Scenario, world: World, *, turning: bool) -> Non
     network = scenario.network
     problem, remedy = "", "write --method flown"
     if not control.builtin:
-        problem = "controller.law: a law of your own has an equilibrium that is not known"
+        problem = "controller.law: the equilibrium of a law of your own is found by flights"
     elif world.formation.companions is not None:
         problem = "controller.companion: own states are late, too"
     elif others:

@@ -402,17 +402,44 @@ class LinearSystem:
         Raises:
             InputError: python-control is not installed.
         """
-        try:
-            import control  # type: ignore[import-not-found, unused-ignore]
-        except ModuleNotFoundError:
-            raise MissingExtraError(
-                "to_control: python-control is not installed; write pip install control"
-            ) from None
-        names = {
-            kind: [name.replace(".", "_") for name in getattr(self, kind)]
-            for kind in ("states", "inputs", "outputs")
-        }
+        control = _python_control("to_control")
+        names = self._names_without_dots("states", "inputs", "outputs")
         return control.ss(self.a, self.b, self.c, self.d, self.dt, **names)
+
+    def frd(self) -> Any:  # noqa: ANN401 - python-control has no types
+        """Return the frequency response as a `control.FrequencyResponseData`, with these names.
+
+        Of a loop, `control.stability_margins` finds the margins of `margins` in it. Those of a
+        state space are wrong: python-control takes polynomials for them, which have no accuracy
+        left from some 15 states on.
+
+        Raises:
+            InputError: python-control is not installed.
+        """
+        control = _python_control("frd")
+        hz = FREQUENCIES[:-1] * (0.5 / self.dt)  # at half the control rate its phase is arbitrary
+        response = np.moveaxis(self.frequency_response(hz), 0, -1)
+        names = self._names_without_dots("inputs", "outputs")
+        return control.frd(response, 2.0 * np.pi * hz, smooth=False, dt=self.dt, **names)
+
+    def _names_without_dots(self, *kinds: str) -> dict[str, list[str]]:
+        """Return names as python-control takes them."""
+        return {kind: [name.replace(".", "_") for name in getattr(self, kind)] for kind in kinds}
+
+
+def _python_control(caller: str) -> Any:  # noqa: ANN401 - python-control has no types
+    """Return the module of python-control.
+
+    Raises:
+        InputError: it is not installed.
+    """
+    try:
+        import control  # type: ignore[import-not-found, unused-ignore]
+    except ModuleNotFoundError:
+        raise MissingExtraError(
+            f"{caller}: python-control is not installed; write pip install control"
+        ) from None
+    return control
 
 
 def append(systems: Sequence[LinearSystem]) -> LinearSystem:

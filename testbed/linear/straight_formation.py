@@ -21,7 +21,7 @@ import numpy as np
 
 from testbed.core.records import Array
 from testbed.linear.held_flight import COMMANDS, HeldFlight
-from testbed.linear.linear_formation import average, received
+from testbed.linear.linear_formation import AXES, average, received
 from testbed.linear.linear_system import LinearSystem
 from testbed.linear.period_map import PeriodMaps
 from testbed.linear.predicted_margins import fly_linearisable, linearise
@@ -32,6 +32,8 @@ from testbed.scenario import Scenario
 # The integral of the course moves steady slot errors by centimetres for minutes.
 SETTLED_S = 150.0
 MOST_LINEARISED = 12  # followers that are linearised one by one
+SLOW_HZ = 1e-5  # of a displacement that is constant for a follower
+NO_SHARE = 1e-3  # smaller shares are none
 # of the eight: slot, m, gain of the leader, gain of the first for those that have one
 _EXAMPLES: tuple[tuple[tuple[float, float, float], float, float], ...] = (
     ((-20.0, 0.0, 0.0), 1.0, 0.0),
@@ -56,7 +58,8 @@ def linearise_straight(scenario: Scenario) -> StraightFormation:
         InputError: an aircraft has no compiled flight model.
     """
     check_measurable(scenario)
-    if len(scenario.fleet) <= MOST_LINEARISED:
+    # how a user's law uses slots and gains is not known
+    if len(scenario.fleet) <= MOST_LINEARISED or scenario.controller.law != "hbh23":
         return _each_of(scenario)
     _check_alike(scenario)
     return _alike(scenario)
@@ -75,7 +78,7 @@ def _each_of(scenario: Scenario) -> StraightFormation:
     flight = _fly_straight(scenario)
     maps = linearise(flight)
     formation = flight.world.formation
-    return StraightFormation(
+    found = StraightFormation(
         dt=maps.dt,
         speed=maps.speed,
         names=tuple(flight.world.names[1:]),
@@ -86,6 +89,31 @@ def _each_of(scenario: Scenario) -> StraightFormation:
         level=~np.isnan(formation.altitudes),
         alike=False,
     )
+    if formation.built_control.builtin:
+        return found
+    return replace(found, gains=shares(found, maps))
+
+
+def shares(formation: StraightFormation, maps: PeriodMaps) -> Array:
+    """Return the shares (n, N, 3) of aircraft in the motion of each follower, as of its gains.
+
+    A follower whose law has gains moves by β_ij / B of a constant displacement of follower j alone.
+    Of a law without them that share is what the linearised follower does, and the rest to 1 is the
+    leader's, because a displacement of all aircraft moves it by the same.
+
+    Args:
+        formation: linearised; its gains are not read.
+        maps: of its followers' control periods.
+    """
+    found = np.zeros((len(maps.followers), len(maps.followers) + 1, len(AXES)))
+    for i, each in enumerate(maps.followers):
+        for j in each.b_message:
+            for axis in range(len(AXES)) if j else ():
+                share = float(formation.hop(i, j, axis, np.array([SLOW_HZ])).real.item())
+                found[i, j, axis] = share if abs(share) > NO_SHARE else 0.0
+    rest = 1.0 - found.sum(axis=1)
+    found[:, 0] = np.where(np.abs(rest) > NO_SHARE, rest, 0.0)
+    return found
 
 
 def _messages_of(maps: PeriodMaps) -> tuple[LinearSystem, ...]:
@@ -116,6 +144,10 @@ def _check_alike(scenario: Scenario) -> None:
                 "keys)"
             )
     formation, network = scenario.formation, scenario.network
+    if not scenario.rates.synchronous:
+        raise MarginsError(
+            f"rates.synchronous: followers differ by their phases, but {why} (write true)"
+        )
     for key, section in (
         ("formation.agents", formation.agents),
         ("formation.altitudes_m", formation.altitudes_m),

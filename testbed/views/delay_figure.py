@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from testbed.core.records import Array
 from testbed.views.panels import BLUE, ORANGE, Line, Panel, PanelGrid
 
-COLOURS = {"receipt": ORANGE, "timestamp": BLUE}
+COLOURS = {"receipt": ORANGE, "timestamp": BLUE, "law": ORANGE}  # a user's law alone
 DIRECTIONS = ("forward", "right")
 PANEL_INCHES = (3.6, 2.8)  # width and height
 HEADER_INCHES = 1.3
@@ -40,8 +40,9 @@ def delay_figure(title: str, subtitle: str, followers: Sequence[FollowerOffsets]
 
 def _panel(follower: FollowerOffsets, axis: int, *, first: bool) -> Panel:
     lines = []
-    for origin, colour in COLOURS.items():
-        predicted, flown = follower.predicted[origin][:, axis], follower.flown[origin][:, axis]
+    for origin, of_origin in follower.predicted.items():
+        colour = COLOURS[origin]
+        predicted, flown = of_origin[:, axis], follower.flown[origin][:, axis]
         from_ = f"from {origin}"
         lines += [
             Line(follower.delay_s, predicted, colour, f"predicted, {from_}", 1.4),
