@@ -77,10 +77,25 @@ def test_control_has_the_same_response():
     assert model(Z) == pytest.approx(response_by_hand(Z))
 
 
+@pytest.mark.parametrize("scenario", ["simulation-1", "simulation-3"])
+def test_margins_of_control_are_ours(scenario):
+    """Of three commands to four digits, by `frd`; a state space has others."""
+    control = pytest.importorskip("control")
+    system = testbed.linearise(scenario, bank_deg=30.0)
+    for command in COMMANDS:
+        loop = system.loop(f"uav2.{command}")
+        own, response = loop.margins(), loop.frd()
+        assert response.input_labels == [f"uav2_{command}"] and response.dt == loop.dt
+        gain, phase_deg, distance, *_ = control.stability_margins(response)
+        found = own.gain, own.phase_deg, own.distance
+        assert (gain, phase_deg, distance) == pytest.approx(found, rel=5e-5)
+
+
 def test_control_that_is_not_installed(monkeypatch):
     monkeypatch.setitem(sys.modules, "control", None)
-    with pytest.raises(InputError, match="pip install control"):
-        second_order().to_control()
+    for convert in (second_order().to_control, second_order().frd):
+        with pytest.raises(InputError, match="pip install control"):
+            convert()
 
 
 @pytest.mark.parametrize("late", [0, 1, 3])

@@ -1,0 +1,95 @@
+"""Followers with phases of their own, linearised, beside flights."""
+
+import math
+
+import numpy as np
+import pytest
+
+from testbed.linear import follower_state
+from testbed.linear.linear_formation import join
+from testbed.linear.predicted_margins import fly_linearisable, linearise
+from testbed.scenario import load_scenario
+
+KICK = math.radians(0.02)
+
+
+class Turn:
+    """A steady turn at 25°."""
+
+    def __init__(self, name):
+        self.flight, problem = fly_linearisable(load_scenario(name), 25.0)
+        assert not problem
+        self.start = self.flight.save()
+        self.maps = linearise(self.flight)
+        self.formation = join(self.maps)
+
+    def grows(self, follower, command, **changes):
+        """Return whether a kick of a follower grows over 60 s, with a change of a command."""
+        inputs, n = self.flight.inputs, len(self.maps.followers)
+        kick = np.zeros((n, 3))
+        kick[follower] = KICK, KICK, 2e-4
+        rows = []
+        for each in (kick, None):
+            inputs.end()
+            for name, value in changes.items():
+                getattr(inputs, name)[follower, command] = value
+            rows.append(self.flight.respond(self.start, round(60.0 / self.flight.dt), each))
+        inputs.end()
+        response = np.abs(rows[0] - rows[1])[:, follower, :2].max(axis=1)
+        third, last = np.array_split(response, 4)[2:]
+        return last.max() > 0.98 * third.max()  # or stays, in a limit cycle
+
+
+@pytest.fixture(scope="module")
+def both():
+    """Experiment 2: two followers that receive from each other, at 10 Hz with drawn phases."""
+    return Turn("experiment-2")
+
+
+def test_messages_are_late_by_whole_periods(both):
+    """A message of the same period, or of the one before, by which of the two steps first."""
+    maps = both.maps
+    first, second = sorted((0, 1), key=lambda i: maps.phase_s[i])
+    assert 0.0 < maps.phase_s[first] < maps.phase_s[second] < maps.dt
+    apart = maps.phase_s[second] - maps.phase_s[first]
+    assert maps.age_s[second, first + 1] == pytest.approx(apart)
+    assert maps.age_s[first, second + 1] == pytest.approx(maps.dt - apart)
+    assert maps.periods_late(second, first) == 0 and maps.periods_late(first, second) == 1
+
+
+@pytest.mark.parametrize("follower", [0, 1])
+@pytest.mark.parametrize("what", ["gain", "latency_s"])
+def test_margins_with_phases_are_those_of_flights(both, follower, what):
+    """Also of the follower whose control steps between two periods of the autopilot."""
+    name = f"uav{follower + 1}"
+    for command, share in ((1, 0.03), (2, 0.05)):
+        loop = both.formation.loop(f"{name}.{('pitch', 'roll', 'throttle')[command]}")
+        margin = getattr(loop.margins(), what)
+        assert not both.grows(follower, command, **{what: (1.0 - share) * margin})
+        assert both.grows(follower, command, **{what: (1.0 + share) * margin})
+
+
+def test_phases_need_the_controls_before(both, monkeypatch):
+    """Between two periods of the autopilot the surfaces are where they were: a part of the state.
+
+    Without them the margin of the throttle would be a fifth too large.
+    """
+    odd = [round(100.0 * phase) % 2 for phase in both.maps.phase_s].index(1)
+    numbers = follower_state._model_numbers
+    monkeypatch.setattr(
+        follower_state,
+        "_model_numbers",
+        lambda names, row, *, with_controls: numbers(names, row, with_controls=False),
+    )
+    flight, _ = fly_linearisable(load_scenario("experiment-2"), 25.0)
+    wrong = join(linearise(flight)).loop(f"uav{odd + 1}.throttle").margins().gain
+    assert wrong > 1.1 * both.formation.loop(f"uav{odd + 1}.throttle").margins().gain
+
+
+def test_experiment_1_has_predicted_margins():
+    """A kick of the roll command decays below its margin, and grows above it."""
+    turn = Turn("experiment-1")
+    margin = turn.formation.loop("uav1.roll").margins().gain
+    assert 4.0 < margin < 6.0
+    assert not turn.grows(0, 1, gain=0.97 * margin)
+    assert turn.grows(0, 1, gain=1.03 * margin)
