@@ -37,7 +37,7 @@ class Turn:
         inputs.end()
         response = np.abs(rows[0] - rows[1])[:, follower, :2].max(axis=1)
         third, last = np.array_split(response, 4)[2:]
-        return last.max() > 0.98 * third.max()  # or stays, in a limit cycle
+        return last.max() > third.max()
 
 
 @pytest.fixture(scope="module")
@@ -60,13 +60,16 @@ def test_messages_are_late_by_whole_periods(both):
 @pytest.mark.parametrize("follower", [0, 1])
 @pytest.mark.parametrize("what", ["gain", "latency_s"])
 def test_margins_with_phases_are_those_of_flights(both, follower, what):
-    """Also of the follower whose control steps between two periods of the autopilot."""
+    """Also of the follower whose control steps between two periods of the autopilot.
+
+    Far above the margin both flights, with the kick and without it, end in the same limit cycle.
+    """
     name = f"uav{follower + 1}"
-    for command, share in ((1, 0.03), (2, 0.05)):
+    for command in (1, 2):
         loop = both.formation.loop(f"{name}.{('pitch', 'roll', 'throttle')[command]}")
         margin = getattr(loop.margins(), what)
-        assert not both.grows(follower, command, **{what: (1.0 - share) * margin})
-        assert both.grows(follower, command, **{what: (1.0 + share) * margin})
+        assert not both.grows(follower, command, **{what: 0.98 * margin})
+        assert both.grows(follower, command, **{what: 1.02 * margin})
 
 
 def test_phases_need_the_controls_before(both, monkeypatch):
@@ -91,5 +94,5 @@ def test_experiment_1_has_predicted_margins():
     turn = Turn("experiment-1")
     margin = turn.formation.loop("uav1.roll").margins().gain
     assert 4.0 < margin < 6.0
-    assert not turn.grows(0, 1, gain=0.97 * margin)
-    assert turn.grows(0, 1, gain=1.03 * margin)
+    assert not turn.grows(0, 1, gain=0.98 * margin)
+    assert turn.grows(0, 1, gain=1.02 * margin)
