@@ -162,10 +162,10 @@ class Flown:
         return rows[0] - rows[1]
 
     def grows(self, command, **changes):
-        """Return whether an oscillation is left of a kick after 150 s, growing or limited."""
+        """Return whether a kick grows in 150 s, or has grown into a limit cycle."""
         response = np.abs(self.respond(round(150.0 / self.flight.dt), command, **changes)[:, :2])
         eighths = [each.max() for each in np.array_split(response, 8)]
-        return eighths[-1] > 0.1 * eighths[0]
+        return eighths[-1] > eighths[1] or max(eighths) > 15.0 * KICK
 
 
 @pytest.fixture(scope="module")
