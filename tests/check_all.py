@@ -196,6 +196,11 @@ PARTS = (
         "tests/formation/contract/test_own_law.py",
     ),
     Part(
+        "margins of laws of users beside flights",
+        "all commands of two laws, straight and at 30°",
+        "TESTBED_LAW_MARGINS=1 pytest tests/linear/equations/test_user_laws.py",
+    ),
+    Part(
         "four stand-ins of ArduPlane; virtual autopilots against the recording of four real ones",
         "the whole of Simulation 3",
         "TESTBED_ARDUPLANE_WHOLE=1 pytest tests/ardupilot/contract/test_arduplane.py "

@@ -1,6 +1,6 @@
 """Laws of users linearised, beside flights: their memory, their messages and their margins.
 
-TESTBED_LAWS=1 flies all commands of both laws, straight and in a turn.
+TESTBED_LAW_MARGINS=1 flies all commands of both laws, straight and in a turn.
 """
 
 import math
@@ -31,7 +31,7 @@ from testbed.scenario import load_scenario
 from testbed.studies.predicted_numbers import predict_numbers
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "leader-follower-kernel.yaml"
-WHOLE = bool(os.environ.get("TESTBED_LAWS"))
+WHOLE = bool(os.environ.get("TESTBED_LAW_MARGINS"))
 KICK = math.radians(0.02)
 KICK_THROTTLE = 1e-3
 SHARES = {"gain": 0.05, "latency_s": 0.03}  # by which a predicted margin may be wrong

@@ -1,0 +1,54 @@
+"""Commands of linear models with a law of the user: what they print, and what they refuse."""
+
+import json
+from pathlib import Path
+
+import pytest
+from commands import call_command
+
+EXAMPLES = Path(__file__).parents[3] / "examples"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Return a folder with the example, whose law also counts its steps."""
+    folder = tmp_path_factory.mktemp("example")
+    law = (EXAMPLES / "leader_follower_kernel.py").read_text("utf-8")
+    law = law.replace('("height_ms", float)]', '("height_ms", float), ("steps", int)]')
+    law = law.replace("    age = now", "    memory.steps += 1\n    age = now")
+    (folder / "leader_follower_kernel.py").write_text(law, "utf-8")
+    scenario = (EXAMPLES / "leader-follower-kernel.yaml").read_text("utf-8")
+    (folder / "own.yaml").write_text(scenario, "utf-8")
+    return folder
+
+
+def test_margins_name_the_memory_that_is_held(folder):
+    """In a line, and in JSON; poles of the memory are among those of the formation."""
+    words = ("margins", "own.yaml", "--bank", "0", "--jobs", "1", "--json", "m.json")
+    done = call_command(*words, cwd=folder, code=0, columns=80)
+    assert "held, as whole numbers and flags have no derivatives: memory steps" in done.stdout
+    [straight] = json.loads((folder / "m.json").read_text("utf-8"))["predicted"]
+    assert straight["note"].endswith("memory steps") and not straight["problem"]
+    roll = straight["followers"][0]["commands"]["roll"]
+    assert roll["latency_s"] == pytest.approx(0.92, abs=0.01)
+
+
+def test_delay_of_a_law_is_flown(folder):
+    """One row for each delay: the law receives messages as they are, and extrapolates them."""
+    words = ("delay", "own.yaml", "--delays", "0.2", "--json", "d.json", "--plot", "d.svg")
+    done = call_command(*words, cwd=folder, code=0, columns=80)
+    assert "flown, because the equilibrium of a law of your own is not known" in done.stdout
+    [row] = json.loads((folder / "d.json").read_text("utf-8"))["offsets"]
+    assert row["extrapolate_from"] == "law" and row["predicted"] is None
+    # as from the time of receipt: 22 m/s times 0.2 s behind
+    assert row["flown"]["offset_m"]["uav1"]["forward"] == pytest.approx(-4.4, abs=0.1)
+    assert "flown, from law" in (folder / "d.svg").read_text("utf-8")
+
+
+def test_class_is_refused_with_what_a_kernel_needs(tmp_path):
+    """And with the method that measures it."""
+    words = ("margins", "own-law-leader-follower", "--bank", "0")
+    done = call_command(*words, cwd=tmp_path, code=2, columns=400)
+    assert "a law that is a Python class has a memory that is not known" in done.stderr
+    assert "under @testbed.kernel that steps one follower, with its memory declared" in done.stderr
+    assert "--method flown" in done.stderr
