@@ -27,7 +27,15 @@ from testbed.core.oscillations import Oscillation, find_oscillations
 from testbed.core.records import Array, BoolArray, Indices
 from testbed.linear.held_flight import COMMANDS, KICK_S, HeldFlight
 from testbed.linear.loop_margins import MAX_GAIN, MAX_LATENCY_S
-from testbed.linear.steady_flight import ROLL, banks_deg, fly_steadily, look_at_limits
+from testbed.linear.period_map import PeriodMaps
+from testbed.linear.predicted_margins import linearise_checked
+from testbed.linear.steady_flight import (
+    ROLL,
+    MarginsError,
+    banks_deg,
+    fly_steadily,
+    look_at_limits,
+)
 from testbed.scenario import Scenario
 
 # small, so that nothing is limited and the aircraft are linear
@@ -112,7 +120,7 @@ def measure_margins(scenario: Scenario, bank_deg: float, climb_mps: float = 0.0)
     flight, problem, note = _fly(scenario, bank_deg, climb_mps)
     if problem:
         return Margins(bank_deg, (), problem, "")
-    copies, n = Copies(flight, independent_groups(scenario)), len(scenario.fleet)
+    copies, n = Copies(flight, independent_groups(scenario, flight)), len(scenario.fleet)
     banks, settling = banks_deg(flight), _settling(copies)
     modes = [_least_damped(each, flight.dt) for each in copies.kicked(RECORD_S)]
     found = [_margins_of(copies, k, n) for k in range(len(COMMANDS))]
@@ -182,7 +190,7 @@ def measure_required(scenario: Scenario, required: Requirement, bank_deg: float)
     found: dict[str, Any] = {"problem": problem}
     if problem:
         return found
-    copies, n = Copies(flight, independent_groups(scenario)), len(scenario.fleet)
+    copies, n = Copies(flight, independent_groups(scenario, flight)), len(scenario.fleet)
     if required.damping is not None:
         modes = [_least_damped(each, flight.dt) for each in copies.kicked(RECORD_S)]
         found["damping"] = min(1.0 if mode is None else mode.damping for mode in modes)
@@ -198,19 +206,26 @@ def measure_required(scenario: Scenario, required: Requirement, bank_deg: float)
     return found
 
 
-def independent_groups(scenario: Scenario) -> list[Indices]:
+def independent_groups(scenario: Scenario, flight: HeldFlight | None = None) -> list[Indices]:
     """Return the followers in groups, none of which influences another of its group.
 
-    A law of one's own may use any message, so each of its followers is a group.
+    Args:
+        scenario: whose followers they are.
+        flight: of it, steady, in which a user's law is linearised. Where it cannot be, or None, it
+            may use any message, so each of its followers is a group.
     """
     names = [each.name for each in scenario.fleet]
     n = len(names)
-    if scenario.controller.law != "hbh23":
+    influences = np.zeros((n, n), dtype=bool)  # [i, j]: i uses j's position
+    if scenario.controller.law == "hbh23":
+        for name, gains in scenario.formation.neighbour_gains.items():
+            for other in gains:
+                influences[names.index(name), names.index(other)] = True
+    elif (maps := _maps_of(flight)) is None:
         return [np.array([i]) for i in range(n)]
-    influences = np.zeros((n, n), dtype=bool)  # [i, j]: i has a gain for j's position
-    for name, gains in scenario.formation.neighbour_gains.items():
-        for other in gains:
-            influences[names.index(name), names.index(other)] = True
+    else:
+        for i, each in enumerate(maps.followers):
+            influences[i, [j - 1 for j in each.b_message if j]] = True
     for k in range(n):  # and indirectly
         influences |= influences[:, k : k + 1] & influences[k]
     either = influences | influences.T
@@ -223,6 +238,20 @@ def independent_groups(scenario: Scenario) -> list[Indices]:
         else:
             groups.append([i])
     return [np.array(group) for group in groups]
+
+
+def _maps_of(flight: HeldFlight | None) -> PeriodMaps | None:
+    """Linearise a flight and return to its present; None: it cannot be linearised."""
+    if flight is None:
+        return None
+    present = flight.save()
+    try:
+        return linearise_checked(flight)
+    except MarginsError:
+        return None
+    finally:
+        flight.inputs.end()
+        present.restore()
 
 
 def _fly(

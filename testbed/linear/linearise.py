@@ -27,7 +27,9 @@ def linearise(
 ) -> LinearSystem:
     """Linearise a scenario's formation in steady flight behind a virtual leader.
 
-    The flight is that of `testbed margins`: in still air, with exact estimates, without faults.
+    The flight is that of `testbed margins`: in still air, with exact estimates, without faults. The
+    memory of a compiled law is a part of the state, `uav1.law/integral`; its whole numbers and
+    flags are held.
 
     Args:
         scenario: a scenario, or the name or path of one.

@@ -185,11 +185,25 @@ def _worse_of(pair: Sequence[PredictedMargins]) -> PredictedMargins:
 
 
 def linearise(flight: HeldFlight) -> PeriodMaps:
-    """Linearise a steady flight over the periods after which it repeats."""
+    """Linearise a steady flight, which is linearisable, over the periods after which it repeats.
+
+    Raises:
+        MarginsError: the memory of a user's law does not repeat with it.
+    """
     clock = flight.world.clock
     airspeed = round(AIRSPEED_S * clock.base_rate_hz)
     ticks = math.lcm(clock.period, airspeed)
     return linearise_periods(flight, ticks // clock.control)
+
+
+def linearise_checked(flight: HeldFlight) -> PeriodMaps:
+    """Linearise any steady flight; see `linearise`.
+
+    Raises:
+        MarginsError: it cannot be linearised.
+    """
+    _check_linearisable(flight.world)
+    return linearise(flight)
 
 
 class NotLinearisable(MarginsError):

@@ -17,8 +17,10 @@ from testbed.core.errors import InputError
 from testbed.formation.compiled_law import CompiledLaw
 from testbed.linear import delay_margin, loop_margins, period_map, predicted_margins
 from testbed.linear.delay_margin import delay_margins
+from testbed.linear.flown_margins import independent_groups
 from testbed.linear.follower_state import held_fields, problem_of_memory
 from testbed.linear.held_flight import COMMANDS
+from testbed.linear.limit_cycle import find_limit_cycle
 from testbed.linear.linear_formation import join
 from testbed.linear.predicted_margins import (
     fly_linearisable,
@@ -296,6 +298,14 @@ def test_messages_without_effect_are_not_received(turns):
     assert control.neighbours["used"].all()
     assert [set(each.b_message) for each in turn.maps.followers] == [{0}] * 3
     assert turn.formation.coupled_parts() == (("uav1",), ("uav2",), ("uav3",))
+    # so all are kicked in one flight where margins are flown, and the flight is as before
+    scenario, flight = load_scenario(str(EXAMPLE)), turn.flight
+    turn.start.restore()
+    assert [each.tolist() for each in independent_groups(scenario, flight)] == [[0, 1, 2]]
+    assert [each.tolist() for each in independent_groups(scenario)] == [[0], [1], [2]]
+    again = flight.record(50)
+    turn.start.restore()
+    assert np.array_equal(again, flight.record(50))
 
 
 def test_scan_of_a_law_has_its_options(laws):
@@ -317,6 +327,28 @@ def test_study_predicts_a_law(laws):
     found = predict_numbers(0.0, load_scenario(laws["example"]))["margins"]
     assert found["damping"] == pytest.approx(0.42, abs=0.01)
     assert found["roll_latency_s"] == pytest.approx(0.92, abs=0.01)
+
+
+def test_limit_cycle_of_a_law_is_that_of_a_flight(turns):
+    """Near the limit of the bank, and 7 % later than the roll command bears."""
+    turn, uav2 = turns("example", 47.5), 1
+    world = turn.flight.world
+    turn.start.restore()
+    limit = world.formation.built_control.config.roll_limit[uav2]
+    room_deg = math.degrees(limit - world.aircraft["control"]["roll"][1 + uav2])
+    latency_s = 1.07 * turn.formation.loop("uav2.roll").margins().latency_s
+    found = find_limit_cycle(turn.formation, "uav2", latency_s, room_deg)
+    kick = np.zeros((3, 3))
+    kick[uav2, 1] = math.radians(5.0)
+    turn.flight.inputs.end()
+    turn.flight.inputs.latency_s[uav2, 1] = latency_s
+    rows = turn.flight.respond(turn.start, 2000, kick)[-500:, uav2, 0]
+    turn.flight.inputs.end()
+    bank = np.degrees(rows - rows.mean())
+    spectrum = np.abs(np.fft.rfft(bank * np.hanning(len(bank)), 2**16))
+    largest = int(spectrum.argmax())
+    assert found.frequency_hz == pytest.approx(largest / (2**16 * turn.flight.dt), rel=0.05)
+    assert found.roll_deg == pytest.approx(4.0 * spectrum[largest] / len(bank), rel=0.1)
 
 
 @pytest.fixture(scope="module")
