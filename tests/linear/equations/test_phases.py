@@ -1,11 +1,13 @@
 """Followers with phases of their own, linearised, beside flights."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from testbed.linear import follower_state
+from testbed.linear import follower_state, period_map
+from testbed.linear.follower_state import FollowerStates
 from testbed.linear.linear_formation import join
 from testbed.linear.predicted_margins import fly_linearisable, linearise
 from testbed.scenario import load_scenario
@@ -55,6 +57,25 @@ def test_messages_are_late_by_whole_periods(both):
     assert maps.age_s[second, first + 1] == pytest.approx(apart)
     assert maps.age_s[first, second + 1] == pytest.approx(maps.dt - apart)
     assert maps.periods_late(second, first) == 0 and maps.periods_late(first, second) == 1
+    # also where the ages alone, 0.6 and 0.4 of a period, would be the nearest to others
+    ages = np.array([[np.nan, np.nan, 0.04], [np.nan, 0.06, np.nan]])
+    other = replace(maps, phase_s=np.array([0.02, 0.08]), age_s=ages)
+    assert other.periods_late(1, 0) == 0 and other.periods_late(0, 1) == 1
+
+
+def test_axes_are_those_of_one_leader(both):
+    """Each follower's period begins in the leader's frame at the leader's own control step."""
+    flight = both.flight
+    both.start.restore()
+    states = FollowerStates(flight)
+    axes, _ = states.frames()
+    for group in period_map._groups(flight, both.maps.turn):
+        period = period_map._Period(flight, states, group)
+        assert period._from_ned == pytest.approx(axes, abs=1e-6)
+        states.ahead = 0.0
+        assert abs(states.frames()[0] - axes).max() > 1e-3  # the leader has turned on
+        both.start.restore()
+    flight.inputs.end()
 
 
 @pytest.mark.parametrize("follower", [0, 1])
