@@ -14,6 +14,7 @@ import numpy as np
 
 from testbed.core.records import Array
 from testbed.linear.held_flight import HeldFlight
+from testbed.linear.linear_formation import LEADER_SIZE
 from testbed.linear.predicted_response import (
     GUST_INPUTS,
     INPUTS,
@@ -83,7 +84,7 @@ def fly_response(
     moved = _Flight(_swinging(scenario, name, amplitude, frequency_hz, duration_s))
     change = None
     if name not in _CURVES:
-        change = moved.changes(name, amplitude, frequency_hz, sender)
+        change = moved.swing(name, amplitude, frequency_hz, sender)
     steady = still.record(duration_s, None)
     time_s, rows = moved.record(duration_s, change)
     motions, left = _fit(time_s, rows - steady[1], frequency_hz)
@@ -106,25 +107,38 @@ class _Flight:
         self.offsets: Array = np.array(world.formation.control.offsets[1:])
         self.level = ~np.isnan(world.formation.altitudes)
 
-    def changes(
+    def swing(
         self, name: str, amplitude: float, frequency_hz: float, sender: int
-    ) -> Callable[[float], None]:
-        """Return what sets a gust or messages at a time, s."""
+    ) -> Callable[[float], None] | None:
+        """Let messages swing, by the times of their content, or return what sets a gust at a time.
+
+        Args:
+            name: of the input.
+            amplitude: of it.
+            frequency_hz: of it.
+            sender: see `fly_response`.
+        """
         flight, axis, rate = self._flight, INPUTS[name], 2.0 * math.pi * frequency_hz
-        wind, messages = flight.world.aircraft["wind"]["wind_ned"], flight.inputs.messages
-        moved = leader_motion(axis, self.speed, np.array([frequency_hz]))[0]
+        if name in GUST_INPUTS:
+            wind = flight.world.aircraft["wind"]["wind_ned"]
 
-        def change(now: float) -> None:
-            swing = amplitude * complex(math.cos(rate * now), math.sin(rate * now))
-            if name in GUST_INPUTS:
-                wind[1:, axis] = swing.real
+            def gust(now: float) -> None:
+                wind[1:, axis] = amplitude * math.cos(rate * now)
                 flight.fleet.write_wind(now)
-            elif name in LEADER_INPUTS:
-                messages[:, 0] = (swing * moved).real
-            else:
-                messages[:, sender, axis] = swing.real
 
-        return change
+            return gust
+        moved = np.eye(LEADER_SIZE)[axis] + 0j
+        if name in LEADER_INPUTS:
+            sender, moved = 0, leader_motion(axis, self.speed, np.array([frequency_hz]))[0]
+
+        def added(measured_s: Array) -> Array:
+            out = np.zeros((*measured_s.shape, LEADER_SIZE))
+            now = np.exp(1j * rate * np.nan_to_num(measured_s[:, sender, np.newaxis]))
+            out[:, sender] = (amplitude * now * moved).real
+            return out
+
+        flight.inputs.swing = added
+        return None
 
     def record(self, until_s: float, change: Callable[[float], None] | None) -> tuple[Array, Array]:
         """Fly, and return times (K,) after the transient and rows (K, 1 + 2 n, 3), m.

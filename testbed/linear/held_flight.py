@@ -7,7 +7,7 @@ to their commands.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
@@ -40,12 +40,14 @@ class InputChanges:
     A command stays in the records of the aircraft from one control step to the next, while the
     autopilots read it in each of their periods. So what is written there in a period is always
     computed from the command as the control, or its companion, has given it, never from what is
-    there.
+    there. The same holds for messages, which stay in the links until newer ones arrive.
 
     Attributes:
         held: (n, N) of LINK, the messages that are used; None: those that arrive.
         messages: (n, N, 15) added to the fields of LEADER_MESSAGE of the held ones, or of those
             that arrive, NED.
+        swing: what is added besides, (n, N, 15) of the times (n, N) at which the content of the
+            messages was measured, s; None: nothing.
         added: (n, 3) added to the commands in each period of the autopilots.
         gain: (n, 3) factor of the commands' deviations from the steady ones.
         latency_s: (n, 3) of the commands, additional.
@@ -66,7 +68,10 @@ class InputChanges:
                 at control steps only.
         """
         self.held: Records | None = None
+        self.swing: Callable[[Array], Array] | None = None
         self.keeps_next, self.delivered = False, allocate(LINK, n, n + 1)
+        self._arrived = allocate(LINK, n, n + 1)
+        self._arrived["number"] = -1  # none yet
         self.messages = np.zeros((n, n + 1, 3 * len(LEADER_MESSAGE)))
         self._clock, self._each_period = clock, each_period
         self._rate_hz = clock.base_rate_hz / clock.autopilot
@@ -90,7 +95,7 @@ class InputChanges:
 
     def end(self) -> None:
         """Take all changes away."""
-        self.held, self._steady = None, None
+        self.held, self.swing, self._steady = None, None, None
         self.messages[:] = self.added[:] = self.latency_s[:] = 0.0
         self.gain[:] = 1.0
 
@@ -109,11 +114,24 @@ class InputChanges:
 
     def write_messages(self, links: Records) -> None:
         """Write the messages that followers use into links (n, N)."""
-        if self.held is None and not self.messages.any():
+        if self.held is None and self.swing is None and not self.messages.any():
             return
-        base = links if self.held is None else self.held
+        added = self.messages
+        if self.swing is not None:
+            added = added + self.swing(links["measured_s"])
+        base = self._as_arrived(links) if self.held is None else self.held
         for k, name in enumerate(LEADER_MESSAGE):
-            links[name] = base[name] + self.messages[:, :, 3 * k : 3 * k + 3]
+            links[name] = base[name] + added[:, :, 3 * k : 3 * k + 3]
+
+    def _as_arrived(self, links: Records) -> Records:
+        """Return the messages as they were when they arrived, before any change.
+
+        A message stays in the links until a newer one arrives, also where it is delivered to other
+        followers in between.
+        """
+        new = links["number"] != self._arrived["number"]
+        self._arrived[new] = links[new]
+        return self._arrived
 
     def read_computed(self, aircraft: Records) -> None:
         """Read the commands that control has computed from aircraft (N,)."""

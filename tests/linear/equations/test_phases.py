@@ -7,9 +7,12 @@ import numpy as np
 import pytest
 
 from testbed.linear import follower_state, period_map
+from testbed.linear.flown_response import fly_response
 from testbed.linear.follower_state import FollowerStates
+from testbed.linear.held_flight import InputChanges
 from testbed.linear.linear_formation import join
 from testbed.linear.predicted_margins import fly_linearisable, linearise
+from testbed.linear.straight_formation import linearise_straight
 from testbed.scenario import load_scenario
 
 KICK = math.radians(0.02)
@@ -117,3 +120,18 @@ def test_experiment_1_has_predicted_margins():
     assert 4.0 < margin < 6.0
     assert not turn.grows(0, 1, gain=0.98 * margin)
     assert turn.grows(0, 1, gain=1.02 * margin)
+
+
+def test_messages_that_swing_are_changed_once(monkeypatch):
+    """Also those that stay in the links while others arrive, by the time of their content."""
+    scenario, at = load_scenario("experiment-2"), np.array([0.1])
+    formation = linearise_straight(scenario)
+    found = formation.respond("message-right", at, 1).position[..., 1]
+    flown = fly_response(scenario, "message-right", at[0], 1).response.position[..., 1]
+    assert np.abs(flown - found).max() < 0.01 * np.abs(found).min()
+    height = formation.respond("leader-height", at).error[..., 2]
+    flown = fly_response(scenario, "leader-height", at[0]).response.error[..., 2]
+    assert np.abs(flown - height).max() < 0.01 * np.abs(height).min()
+    monkeypatch.setattr(InputChanges, "_as_arrived", lambda self, links: links)
+    wrong = fly_response(scenario, "message-right", at[0], 1).response.position[..., 1]
+    assert (np.abs(wrong) > 2.0 * np.abs(found)).all()
