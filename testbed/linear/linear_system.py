@@ -56,8 +56,8 @@ class LinearSystem:
         c: (K, n).
         d: (K, k).
         dt: s, control period.
-        states: (n,) names, such as `uav1.last fcs/elevator-cmd-norm`; of the memory of a user's law,
-            `uav1.law/integral[0]`; of messages under way, by their age in periods,
+        states: (n,) names, such as `uav1.last fcs/elevator-cmd-norm`; of the memory of a user's
+            law, `uav1.law/integral[0]`; of messages under way, by their age in periods,
             `uav2.message.position_ned.forward.1`.
         inputs: (k,) names: of a uniform wind, `wind.forward`; of the leader's message as used,
             `leader.position_ned.right`; of additions to commands, `uav1.roll`.
