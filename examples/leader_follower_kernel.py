@@ -5,29 +5,31 @@ course sets the speed, the error across it the course, and the height error the 
 of scenarios/leader_follower.py for one follower.
 """
 
+from typing import Any
+
 import numpy as np
 
 import testbed
-from testbed.law import FbwaCommand, ground_speed_bounds
+from testbed.law import FbwaCommand, Inbox, VehicleState, ground_speed_bounds
 
 GRAVITY = 9.81
 
 
 @testbed.kernel(memory=[("speed_m", float), ("height_ms", float)])
 def leader_follower(
-    now,
-    own,
-    inbox,
-    memory,
-    config,
-    closing=0.3,
-    approach_deg=60.0,
-    field_per_m=0.03,
-    course=2.5,
-    climb=0.02,
-    speed=0.12,
-    speed_integral=0.02,
-):
+    now: float,
+    own: VehicleState,
+    inbox: Inbox,
+    memory: Any,  # noqa: ANN401 - a record of the fields above
+    config: Any,  # noqa: ANN401 - that of one follower
+    closing: float = 0.3,
+    approach_deg: float = 60.0,
+    field_per_m: float = 0.03,
+    course: float = 2.5,
+    climb: float = 0.02,
+    speed: float = 0.12,
+    speed_integral: float = 0.02,
+) -> FbwaCommand[float]:
     """Return the commands of one follower."""
     age = now - inbox.received_s[0]
     if not age <= config.leader_timeout_s:  # also where age is NaN: no message yet
