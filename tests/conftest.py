@@ -1,5 +1,6 @@
 """What tests of every folder share: the modules in `shared`, and which tests run."""
 
+import gc
 import signal
 
 import pytest
@@ -11,6 +12,12 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 # An assertion in these modules prints what differs, as one in a test does.
 pytest.register_assert_rewrite("snapshot", "commands", "report_pages", "result_tables")
+
+
+def pytest_collection_finish(session):
+    """Collect garbage as rarely as the command line does, and not what is loaded before a test."""
+    gc.freeze()
+    gc.set_threshold(100_000, 20, 50)
 
 
 def pytest_configure(config):
