@@ -2,7 +2,8 @@
 
 numba emits machine code, a wrapper for Python and one for C for each function that it compiles. An
 entry has the code of its kernels in its own machine code, so those of the kernels would never be
-called: without them a first flight compiles in four fifths of the time.
+called: without them, and without optimising each kernel alone, a first flight compiles in three
+quarters of the time.
 """
 
 from __future__ import annotations
@@ -26,7 +27,10 @@ _WITHOUT = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 
 class _KernelLibrary(_Library):  # type: ignore[misc]
-    """Code that is linked into that of callers, and is not turned into machine code here."""
+    """Code that is linked into that of callers, and is optimised and made machine code there."""
+
+    def _optimize_final_module(self) -> None:
+        pass
 
     def _finalize_final_module(self) -> None:
         self._finalize_dynamic_globals()
