@@ -48,8 +48,8 @@ def hold(now, own, inbox, memory, config):
 """
 STUDY = """
 study: {schema: 1, name: start, scenario: simulation-3, duration_s: 20,
-        design: factorial, seeds: SEEDS}
-vary: {network.loss: [0.0, 0.1]}
+        design: factorial, seeds: [1]}
+vary: {network.loss: LOSSES}
 """
 SCENARIO = "extends: {scenario}\ncontroller: {{law: 'law.py:hold'}}\n"
 
@@ -86,7 +86,9 @@ class Version(NamedTuple):
             (Path(folder) / "law.py").write_text(LAW)
             scenario = self.tree / "scenarios" / "simulation-3.yaml"
             (Path(folder) / "law.yaml").write_text(SCENARIO.format(scenario=scenario))
-            (Path(folder) / "study.yaml").write_text(STUDY.replace("SEEDS", str([*range(1, 501)])))
+            (Path(folder) / "study.yaml").write_text(
+                STUDY.replace("LOSSES", str([k / 2000 for k in range(1000)]))
+            )
             process = subprocess.Popen(
                 [sys.executable, *arguments],
                 cwd=folder,
@@ -136,7 +138,7 @@ def main() -> None:
         "testbed run simulation-3 --duration 5": [*run, "simulation-3", "--duration", "5"],
         "testbed run simulation-3": [*run, "simulation-3"],
         "5 s with a kernel law": [*run, "law.yaml", "--duration", "5"],
-        "sweep of 1,000 flights of 20 s, --jobs 1": [
+        "sweep of 1,000 flights of 20 s that differ in a key, --jobs 1": [
             *("-m", "testbed", "sweep", "study.yaml", "--jobs", "1", "--quiet"),
             *("--out", "study.parquet"),
         ],

@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 from testbed.core.errors import InputError
@@ -39,6 +39,7 @@ from testbed.scenario.yaml_io import (
     parse,
     plant,
     read,
+    read_source,
     walk,
     write,
 )
@@ -198,8 +199,8 @@ def load_middle_loop(
         ScenarioError: the airframe, the file or the profile does not exist, or a gain is wrong; a
             wrong change has the place `CHANGES`, and its path begins there.
     """
-    tree = read(Path(file) if file else references.find_aircraft(aircraft) / "middle_loop.yaml")
-    profiles = validate(tree, MiddleLoopFile).root
+    path = Path(file) if file else references.find_aircraft(aircraft) / "middle_loop.yaml"
+    profiles, place = _parse_middle_loop(*read_source(path))
     if profile in profiles:
         gains = profiles[profile]
         if not changes:
@@ -208,7 +209,20 @@ def load_middle_loop(
         return validate(plant(data, CHANGES), MiddleLoopGains)
     hint = did_you_mean(profile, profiles)
     known = ", ".join(profiles)
-    raise error_at(tree.place, f"there is no profile {profile!r}{hint} (write one of {known})")
+    raise error_at(place, f"there is no profile {profile!r}{hint} (write one of {known})")
+
+
+@lru_cache(maxsize=64)
+def _parse_middle_loop(
+    text: str, source: str, folder: Path
+) -> tuple[Mapping[str, MiddleLoopGains], FilePosition]:
+    """Return the profiles of a middle_loop.yaml, and its place; each flight reads it several times.
+
+    Raises:
+        ScenarioError: it is not YAML, or a gain is wrong.
+    """
+    tree = parse(text, source, folder)
+    return validate(tree, MiddleLoopFile).root, tree.place
 
 
 def middle_loop_gains(scenario: Scenario, aircraft: str | Path) -> MiddleLoopGains:

@@ -62,6 +62,15 @@ def read(path: Path) -> Node:
     Raises:
         ScenarioError: it cannot be read, is not UTF-8, or not YAML.
     """
+    return parse(*read_source(path))
+
+
+def read_source(path: Path) -> tuple[str, str, Path]:
+    """Return the arguments of `parse` for a file.
+
+    Raises:
+        ScenarioError: it cannot be read, or is not UTF-8.
+    """
     source = _short(path)
     try:
         data = read_bounded(path)
@@ -74,7 +83,7 @@ def read(path: Path) -> Node:
         raise error_at(
             FilePosition(source, line, 1), "is not UTF-8 text (save the file as UTF-8)"
         ) from None
-    return parse(text, source, path.resolve().parent)
+    return text, source, path.resolve().parent
 
 
 def write(data: object) -> str:
