@@ -89,8 +89,7 @@ _CHECKED = {**_OPTIONS, "boundscheck": True}
 class CompiledFunction:
     """An entry or a kernel: numba's function is made when it is first needed.
 
-    numba takes 0.3 ms for each, and the kernels in an entry whose machine code is loaded are never
-    needed.
+    numba takes 0.3 ms to make one, and where machine code is loaded, its kernels are not needed.
     """
 
     CONSTANT = True

@@ -480,7 +480,7 @@ class RunInfo:
     """Description of a run, for observers before the first sample."""
 
     scenario_name: str  # scenario.name
-    # returns the resolved scenario, whose text costs a short flight a tenth where it is not written
+    # returns the text of the resolved scenario; making it would take a tenth of a short flight
     make_yaml: Callable[[], str] = field(compare=False)
     names: tuple[str, ...]  # N aircraft, the leader first
     aircraft: tuple[str, ...]  # N airframe names, "rascal110"

@@ -36,10 +36,10 @@ from testbed.linear.steady_flight import (
 from testbed.network.links import resolve_links
 from testbed.scenario import Scenario
 from testbed.scenario.arguments import with_changes
+from testbed.scenario.control import BUILT_IN
 from testbed.scenario.network import Bernoulli, Link, Network
 
 Origin = Literal["receipt", "timestamp"]  # of the extrapolation
-BUILT_IN = "hbh23"  # the law whose equilibrium is known
 SETTLE_S = 900.0  # the integral of the course takes p/i, some 170 s
 LOOK_S, RANDOM_LOOK_S = 5.0, 600.0  # that are averaged; the second with losses
 SAMPLE_S = 0.2  # the airspeed filters repeat after 0.2 s

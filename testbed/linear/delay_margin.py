@@ -56,8 +56,8 @@ def delay_margins(maps: PeriodMaps, later: Later | None = None) -> list[DelayMar
 
     Args:
         maps: of their control periods.
-        later: linearises them anew with later messages, for a law whose extrapolation is not known;
-            None: it is that of [HBH23].
+        later: linearises the formation anew with later messages, for a law of a user's; None: the
+            law extrapolates messages as [HBH23] does.
     """
     names = [each.name for each in maps.followers]
     found = []

@@ -37,6 +37,7 @@ from testbed.linear.steady_flight import (
     look_at_limits,
 )
 from testbed.scenario import Scenario
+from testbed.scenario.control import BUILT_IN
 
 # small, so that nothing is limited and the aircraft are linear
 KICK_DEG, KICK_THROTTLE = 0.02, 2e-4
@@ -217,7 +218,7 @@ def independent_groups(scenario: Scenario, flight: HeldFlight | None = None) -> 
     names = [each.name for each in scenario.fleet]
     n = len(names)
     influences = np.zeros((n, n), dtype=bool)  # [i, j]: i uses j's position
-    if scenario.controller.law == "hbh23":
+    if scenario.controller.law == BUILT_IN:
         for name, gains in scenario.formation.neighbour_gains.items():
             for other in gains:
                 influences[names.index(name), names.index(other)] = True

@@ -8,8 +8,8 @@ While one follower changes, the others' messages to it are held, so all can chan
 Vectors are resolved in the leader's horizontal frame: forward, right, down. In it the maps of
 periods that the flight repeats are equal, straight or turning.
 
-A period begins with a control step of the follower. Where followers have phases of their own, each
-has its own beginning, by its phase later than the leader's, whose frame then is that of all.
+A period begins with a control step of the follower. Where followers have phases of their own, the
+period of each begins later than the leader's by its phase; all use the leader's frame of that time.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ def linearise_periods(flight: HeldFlight, periods: int) -> PeriodMaps:
     """Linearise the next control periods of a steady flight, and fly them.
 
     Args:
-        flight: whose time is that of a control step.
+        flight: at a control step.
         periods: after which the flight repeats, but for its position and course.
 
     Raises:
@@ -151,7 +151,7 @@ def linearise_periods(flight: HeldFlight, periods: int) -> PeriodMaps:
 
 
 class _Group(NamedTuple):
-    """Followers whose control steps at the same ticks.
+    """Followers whose control steps are at the same ticks.
 
     Attributes:
         rows: of the n followers.
@@ -263,7 +263,7 @@ def _check_memory(
     tolerance = max(_REPEATED, _REPEATED_PER_TURN * turned)
     for old, new in zip(followers, _control_maps(flight, states, group), strict=True):
         own = np.array([label.startswith(f"{LAW}/") for label in old.labels])
-        # by the other states: the share of itself that a number keeps says nothing of axes
+        # only the derivatives with respect to other states and commands depend on the axes
         pairs = (
             (old.a[0][own][:, ~own], new.a[own][:, ~own]),
             (old.c_command[0][:, own].T, new.c_command[:, own].T),
@@ -367,7 +367,7 @@ class _Period:
         """Fly the period without changes, and keep its beginning and its end.
 
         Args:
-            flight: whose time is that of a control step of the group.
+            flight: at a control step of the group.
             states: of its followers.
             group: of followers that are linearised.
             control_alone: with changes, step the control alone.

@@ -112,7 +112,7 @@ def _describe_held(world: World) -> str:
 
 
 class _LaterMessages:
-    """The maps of a formation with later messages, for a law whose use of them is not known.
+    """Maps of a formation with later messages, for a law of a user's.
 
     The formation is flown until it is steady with each delay, and its control is linearised there.
     """

@@ -28,6 +28,7 @@ from testbed.linear.predicted_margins import fly_linearisable, linearise
 from testbed.linear.predicted_response import StraightFormation
 from testbed.linear.steady_flight import MarginsError, check_measurable, steady_scenario
 from testbed.scenario import Scenario
+from testbed.scenario.control import BUILT_IN
 
 # The integral of the course moves steady slot errors by centimetres for minutes.
 SETTLED_S = 150.0
@@ -59,7 +60,7 @@ def linearise_straight(scenario: Scenario) -> StraightFormation:
     """
     check_measurable(scenario)
     # how a user's law uses slots and gains is not known
-    if len(scenario.fleet) <= MOST_LINEARISED or scenario.controller.law != "hbh23":
+    if len(scenario.fleet) <= MOST_LINEARISED or scenario.controller.law != BUILT_IN:
         return _each_of(scenario)
     _check_alike(scenario)
     return _alike(scenario)
@@ -97,9 +98,9 @@ def _each_of(scenario: Scenario) -> StraightFormation:
 def shares(formation: StraightFormation, maps: PeriodMaps) -> Array:
     """Return the shares (n, N, 3) of aircraft in the motion of each follower, as of its gains.
 
-    A follower whose law has gains moves by β_ij / B of a constant displacement of follower j alone.
-    Of a law without them that share is what the linearised follower does, and the rest to 1 is the
-    leader's, because a displacement of all aircraft moves it by the same.
+    If follower j alone is displaced by a constant, a follower with the law of [HBH23] is displaced
+    by the share β_ij / B of that. For another law the share is that of the linearised follower. The
+    rest to 1 is the leader's share, because a displacement of all aircraft displaces it equally.
 
     Args:
         formation: linearised; its gains are not read.

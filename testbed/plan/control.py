@@ -32,7 +32,7 @@ from testbed.formation.middle_loop import LOOP
 from testbed.plan.fleet import AgentParameters, FormationPlan, PlannedFollower
 from testbed.plan.user_code import build_function, build_law, check_law
 from testbed.scenario import MiddleLoopGains as Profile
-from testbed.scenario.control import Companion, Controller
+from testbed.scenario.control import BUILT_IN, Companion, Controller
 from testbed.scenario.middle_loop import Estimators
 
 _ACCELERATION_SOURCES = {
@@ -49,7 +49,7 @@ _ANGULAR_ACCELERATION_SOURCES = {
 
 def build_control(fleet: FormationPlan, controller: Controller, clock: Clock) -> BuiltControl:
     """Build the control of the followers of a fleet."""
-    builtin = controller.law == "hbh23"
+    builtin = controller.law == BUILT_IN
     extrapolates = not builtin and controller.extrapolate_from is not None
     config, parts = build_config(fleet, controller, dt=clock.control / clock.base_rate_hz)
     law, messages, reads = build_law_records(fleet.followers, controller, config)
@@ -249,7 +249,7 @@ def own_speed_model(
             f"{key}: {name} has a flight model, and the throttle loop (21) takes u as a speed "
             f"(write vehicle: unicycle for {name}, or speed_pole_per_s)"
         )
-    if controller.law != "hbh23":
+    if controller.law != BUILT_IN:
         raise InputError(
             f"{key}: a law of your own commands speeds, which vehicles with other f and g do not "
             "take (write law: hbh23, or speed_pole_per_s)"

@@ -13,7 +13,7 @@ from testbed.flight.membership import FormationMembership
 from testbed.plan.fleet import Fleet, FormationPlan, unreachable_agents
 from testbed.scenario.aircraft import AircraftSection
 from testbed.scenario.arguments import with_changes
-from testbed.scenario.control import OnFailure
+from testbed.scenario.control import BUILT_IN, OnFailure
 from testbed.scenario.faults import AnyFault, GpsJump, GpsLost
 from testbed.scenario.set_keys import read_all
 from testbed.sensors.estimators import has_filter
@@ -61,7 +61,7 @@ def build_membership(
     if faults is None or response.response == "ignore":
         return None
     reassigns = response.response == "reassign-slots"
-    if reassigns and law != "hbh23":
+    if reassigns and law != BUILT_IN:
         raise InputError(
             "formation.on_failure.response: reassign-slots moves the paper's law to other slots, "
             f"and the law is {law} (write drop, or law: hbh23)"

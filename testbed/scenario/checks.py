@@ -15,6 +15,7 @@ from testbed.scenario.aircraft import (
     Leader,
     VirtualAutopilot,
 )
+from testbed.scenario.control import BUILT_IN
 from testbed.scenario.expect import check_expect
 from testbed.scenario.faults import AnyFault
 from testbed.scenario.fields import SMALLEST, Finding, KeyPath
@@ -511,7 +512,7 @@ def _agents(scenario: Sections) -> Iterator[Finding]:
 
 
 def _law(scenario: Sections) -> Iterator[Finding]:
-    if scenario.controller.law == "hbh23" and scenario.controller.options:
+    if scenario.controller.law == BUILT_IN and scenario.controller.options:
         yield (
             ("controller", "options"),
             "the law hbh23 has no options (write its gains under formation, or leave this out)",

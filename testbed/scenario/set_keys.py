@@ -15,6 +15,7 @@ from typing import Any
 
 from testbed.core.reads import Reads
 from testbed.scenario.aircraft import AircraftSection
+from testbed.scenario.control import BUILT_IN
 from testbed.scenario.fields import Section
 from testbed.scenario.pattern import is_pattern_key
 from testbed.scenario.problems import FilePosition, Problem
@@ -323,7 +324,7 @@ def explain_unused(scenario: Sections, path: Keys) -> str:
                 f"no sensor of {aircraft.name} uses it in this setting (leave it out, or describe "
                 "the sensor or error that it belongs to)"
             )
-    if section in ("controller", "formation") and law != "hbh23":
+    if section in ("controller", "formation") and law != BUILT_IN:
         name = law.rpartition("/")[2]
         return (
             f"controller.law is {name}, a law of your own, and neither it nor what flies its "

@@ -50,56 +50,37 @@ class FolderFunction(Generic[_Rest, _ResultT]):
 
     def __call__(self, folder: Path, /, *args: _Rest.args, **named: _Rest.kwargs) -> _ResultT:
         """Return the result for a folder, made by the function if there is none yet."""
-        result = self.of(folder, *args, **named)
-        if (found := result.find()) is None:
+        key = self.key(folder, *args, **named)
+        if (found := self.find(key)) is None:
             found = self._function(Path(folder).resolve(), *args, **named)
-            result.keep(found)
+            self.keep(key, found)
         return found
 
-    def of(
-        self, folder: Path, /, *args: _Rest.args, **named: _Rest.kwargs
-    ) -> FolderResult[_ResultT]:
-        """Return the place of a result."""
+    def key(self, folder: Path, /, *args: _Rest.args, **named: _Rest.kwargs) -> tuple[object, ...]:
+        """Return what a result depends on: the folder with its present files, and the arguments."""
         folder = Path(folder).resolve()
-        rest = folder_digest(folder), args, *sorted(named.items())
-        return FolderResult(self._results, self._maxsize, self._kept, self._name, folder, rest)
+        return str(folder), folder_digest(folder), args, *sorted(named.items())
 
-
-class FolderResult(Generic[_ResultT]):
-    """The place of one result; its folder's files are those of the moment when it was made."""
-
-    def __init__(
-        self,
-        results: OrderedDict[tuple[object, ...], _ResultT],
-        maxsize: int,
-        kept: type[_ResultT] | None,
-        name: str,
-        folder: Path,
-        rest: tuple[object, ...],
-    ) -> None:
-        self._results, self._maxsize, self._kept, self._name = results, maxsize, kept, name
-        self._of = str(folder), *rest
-
-    def find(self) -> _ResultT | None:
-        """Return the result from memory or from disk; None: there is none."""
-        if (found := self._results.get(self._of)) is not None:
-            self._results.move_to_end(self._of)
-            return found
-        if self._kept is None:
-            return None
-        found = read_result(self._kept, self._name, self._of)
-        if found is not None:
-            self._remember(found)
+    def find(self, key: tuple[object, ...]) -> _ResultT | None:
+        """Return a result from memory or from disk by its key; None: there is none."""
+        if (found := self._results.get(key)) is not None:
+            self._results.move_to_end(key)
+        elif self._kept is not None:
+            found = read_result(self._kept, self._name, key)
+            if found is not None:
+                self._remember(key, found)
         return found
 
-    def keep(self, result: _ResultT) -> None:
-        """Keep the result."""
-        self._remember(result)
+    def keep(self, key: tuple[object, ...], result: _ResultT) -> None:
+        """Keep a result by its key, unless a file of the folder has changed meanwhile."""
+        if _read_digest(Path(str(key[0]))) != key[1]:
+            return
+        self._remember(key, result)
         if self._kept is not None:
-            keep_result(self._name, self._of, result)
+            keep_result(self._name, key, result)
 
-    def _remember(self, result: _ResultT) -> None:
-        self._results[self._of] = result
+    def _remember(self, key: tuple[object, ...], result: _ResultT) -> None:
+        self._results[key] = result
         if len(self._results) > self._maxsize:
             self._results.popitem(last=False)
 

@@ -263,13 +263,13 @@ def probe_airframes(folders: Iterable[Path]) -> None:
     """
     started = {}
     for folder in {Path(each).resolve() for each in folders}:
-        result = _find_traits.of(folder)
-        if result.find() is None:
+        key = _find_traits.key(folder)
+        if _find_traits.find(key) is None:
             with suppress(AircraftError):
-                started[result] = probe_in_copy(folder, partial(_probe, folder))
-    for result, wait in started.items():
+                started[key] = probe_in_copy(folder, partial(_probe, folder))
+    for key, wait in started.items():
         with suppress(AircraftError):
-            result.keep(Traits(**wait()))
+            _find_traits.keep(key, Traits(**wait()))
 
 
 @cache_by_folder(64, kept=Traits)

@@ -76,6 +76,24 @@ def test_an_edit_of_equal_size_and_time_is_seen(folder, kept, loads):
     assert airframe(folder) == before and not loads
 
 
+def test_a_file_edited_meanwhile_keeps_no_result(folder, kept, monkeypatch):
+    """Else the result of the new content would be that of the old one, for good."""
+    main = folder / "rascal110.xml"
+    text, measured = main.read_text(), jsbsim_adapter.measured_airframe
+
+    def edited(model):
+        main.write_text(text.replace(" 10.57 ", " 11.57 "))
+        return measured(model)
+
+    with monkeypatch.context() as changed, unchanging_folders():
+        changed.setattr(jsbsim_adapter, "measured_airframe", edited)
+        airframe(folder)
+    main.write_text(text)
+    assert not [each for each in os.listdir(kept.folder) if each.startswith("result-airframe")]
+    airframe(folder)
+    assert [each for each in os.listdir(kept.folder) if each.startswith("result-airframe")]
+
+
 def test_another_jsbsim_makes_results_anew(folder, kept, loads, monkeypatch):
     airframe(folder)
     forget(airframe)
