@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from testbed.core.records import Array
 from testbed.views.panels import BLUE, ORANGE, Line, Panel, PanelGrid
 
@@ -12,6 +14,7 @@ COLOURS = {"receipt": ORANGE, "timestamp": BLUE, "law": ORANGE}  # a user's law 
 DIRECTIONS = ("forward", "right")
 PANEL_INCHES = (3.6, 2.8)  # width and height
 HEADER_INCHES = 1.3
+LEAST_M = 0.1  # of an axis: smaller offsets would show rounding
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,10 +51,13 @@ def _panel(follower: FollowerOffsets, axis: int, *, first: bool) -> Panel:
             Line(follower.delay_s, predicted, colour, f"predicted, {from_}", 1.4),
             Line(follower.delay_s, flown, colour, f"flown, {from_}", 5.0, dots=True),
         ]
+    lines = [each for each in lines if np.isfinite(each.y).any()]  # others have no mark
+    largest = max((float(np.nanmax(np.abs(each.y))) for each in lines), default=0.0)
     top = axis == 0
     return Panel(
         follower.name if top else "",
         "" if top else "delay, s",
         f"{DIRECTIONS[axis]}, m" if first else "",
         lines,
+        y_limits=(-LEAST_M, LEAST_M) if largest < LEAST_M else None,
     )

@@ -2,7 +2,10 @@
 
 import json
 
+import numpy as np
 from commands import call_command, refuse_all
+
+from testbed.views.delay_figure import FollowerOffsets, delay_figure
 
 
 def test_delay_command_predicts(tmp_path):
@@ -25,3 +28,14 @@ def test_delay_command_predicts(tmp_path):
 
 def test_delay_command_refuses(tmp_path):
     refuse_all("delay", tmp_path)
+
+
+def test_figure_has_no_curve_without_numbers():
+    """Nor an axis that shows rounding: a law of one's own has no prediction, and flies straight."""
+    delays, unknown = np.array([0.1, 0.3]), np.full((2, 3), np.nan)
+    flown = np.array([[-2.0, 4e-9, 0.0], [-6.0, -8e-9, 0.0]])
+    offsets = FollowerOffsets("uav1", delays, {"law": unknown}, {"law": flown})
+    (forward,), (right,) = delay_figure("title", "", [offsets]).rows
+    for panel in (forward, right):
+        assert [each.label for each in panel.lines] == ["flown, from law"]
+    assert forward.y_limits is None and right.y_limits == (-0.1, 0.1)
