@@ -25,6 +25,7 @@ from testbed.cli import entry
 from testbed.cli.exit_codes import ExitCode
 from testbed.cli.main import app
 from testbed.cli.scenario import FIRST, FIRST_STUDIES, GROUPS, STUDIES, TUNES
+from testbed.core.compile import notice
 from testbed.logs.file_record import RECORD_NAME
 from testbed.scenario import list_scenarios, list_studies, list_tunings
 
@@ -292,7 +293,8 @@ def test_closed_pipe_exits_0(tmp_path, arguments):
         )
     finally:
         os.close(write)
-    assert (done.returncode, done.stderr) == (0, "")
+    # where another process compiles kernels at that moment, the run waits, and says so
+    assert (done.returncode, done.stderr.replace(f"{notice()}\n", "")) == (0, "")
     if "run" in arguments:
         metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())
         assert metrics["outcome"] == "completed"
