@@ -2,7 +2,7 @@
 
     class MyLaw:
         def __init__(self, config: FormationConfig, *, gain: float = 0.3) -> None: ...
-        def start(self, own: VehicleState) -> Memory: ...
+        def start(self, own: OwnState) -> Memory: ...
         def step(self, now, own, inbox, memory) -> tuple[UnicycleCommand | FbwaCommand, Memory]: ...
 
 `module` is a file beside the scenario, or an installed module; `controller.options` are the keyword
@@ -37,12 +37,14 @@ Vectors are north, east, down (NED) from the scenario's origin; angles in rad, r
   neighbour, should no longer be used.
 - `hbh23`: the built-in law of [HBH23] with the scenario's gains, for a law that extends it.
 
-`VehicleState`, the argument `own`, each follower's estimate of itself:
+`OwnState`, the argument `own`, each follower's estimate of itself:
 
 - `position_ned` (n, 3) m; `velocity_ned` (n, 3) m/s, over the ground; `acceleration_ned` (n, 3)
   m/s², its derivative.
 - `euler` (n, 3): roll, pitch, yaw. `rates_body` (n, 3): p, q, r.
 - `airspeed` (n,) m/s: true. `equivalent_airspeed` (n,) m/s: what a pitot tube measures.
+- `wind_ned` (n, 3) m/s: velocity of the air, as the navigation filter estimates it; without
+  sensors the wind at the aircraft.
 
 `Inbox`, the newest message that each follower has received of each aircraft, the leader's in column
 0; NaN before the first:
@@ -52,7 +54,12 @@ Vectors are north, east, down (NED) from the scenario's origin; angles in rad, r
   extrapolated to the present from one of the two, and both are `now`, but for messages that have
   timed out.
 - `position_ned`, `velocity_ned`, `acceleration_ned` (n, N, 3): as above. `euler`, `euler_rates`
-  (n, N, 3): roll, pitch, yaw, and their derivatives.
+  (n, N, 3): roll, pitch, yaw, and their derivatives. `turn_rate` (n, N): rate of the course.
+- `failed` (n, N): whether the sender declares that it has failed.
+- `payload` (n, N, K): numbers that the sender's law has sent, see `Outputs`.
+
+`Outputs` declares fields of a law's memory that each message carries, that the log has, or whose
+changes are events: the attribute `outputs` of a class, arguments of `testbed.kernel`.
 
 Commands; each array has one row per follower, and one number is no array:
 
@@ -72,18 +79,24 @@ Commands; each array has one row per follower, and one number is no array:
 
 from __future__ import annotations
 
-from testbed.core.records import FbwaCommand, Inbox, UnicycleCommand, VehicleState
+from testbed.core.records import FbwaCommand, Inbox, OwnState, UnicycleCommand, VehicleState
 from testbed.formation.compiled_law import FollowerConfig
+from testbed.formation.follower_hbh23 import HBH23_MEMORY, FollowerHbh23
 from testbed.formation.law import FormationConfig, Law, LimiterFlag
+from testbed.formation.law_outputs import Outputs
 from testbed.formation.velocity_command import command_from_velocity, ground_speed_bounds
 
 __all__ = [
+    "HBH23_MEMORY",
     "FbwaCommand",
     "FollowerConfig",
+    "FollowerHbh23",
     "FormationConfig",
     "Inbox",
     "Law",
     "LimiterFlag",
+    "Outputs",
+    "OwnState",
     "UnicycleCommand",
     "VehicleState",
     "command_from_velocity",

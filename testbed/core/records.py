@@ -51,6 +51,7 @@ Values: TypeAlias = Any  # a tuple of numbers and vectors
 
 _RecordT = TypeVar("_RecordT")
 _NumbersT = TypeVar("_NumbersT")  # an array, or a number
+AXES = "north", "east", "down"
 FEW = 100  # numbers of a record that are printed
 
 
@@ -68,7 +69,7 @@ class Logged:
 
 def logged_ned(quantity: str, unit: str) -> Logged:
     """Name the components of a vector in the log: position_north_m, position_east_m, …."""
-    return Logged(*(f"{quantity}_{axis}_{unit}" for axis in ("north", "east", "down")))
+    return Logged(*(f"{quantity}_{axis}_{unit}" for axis in AXES))
 
 
 def allocate(dtype: np.dtype[Any], *shape: int) -> Records:
@@ -180,6 +181,23 @@ class VehicleState(NamedTuple):
     equivalent_airspeed: Annotated[Array, Logged("equivalent_airspeed_mps")]
 
 
+@document_fields
+@short_repr
+class OwnState(NamedTuple):
+    """What n followers' laws know of the followers themselves: their autopilots' estimates."""
+
+    position_ned: Vectors  # (n, 3) m, north, east, down from the origin
+    velocity_ned: Vectors  # (n, 3) m/s over the ground, north, east, down
+    acceleration_ned: Vectors  # (n, 3) m/s², derivative of velocity_ned
+    euler: Vectors  # (n, 3) roll, pitch, yaw, rad
+    rates_body: Vectors  # (n, 3) p, q, r, rad/s, about body axes forward, right, down
+    airspeed: Array  # (n,) true airspeed, m/s
+    equivalent_airspeed: Array  # (n,) m/s, what a pitot tube measures
+    # (n, 3) m/s, velocity of the air, north, east, down: of a navigation filter the horizontal wind
+    # that it estimates; where there is none, the wind at the aircraft
+    wind_ned: Vectors
+
+
 def followers(state: VehicleState) -> VehicleState:
     """View the rows (n) of the followers."""
     return VehicleState(*(each[1:] for each in state))
@@ -274,7 +292,7 @@ class Broadcast(NamedTuple):
 
 
 @document_fields
-class Inbox(NamedTuple):
+class Messages(NamedTuple):
     """The newest message of each of N aircraft that each of n followers has received."""
 
     stamp_s: Array  # (n, N) s, sender's time of the measurement; NaN: no message yet
@@ -284,6 +302,24 @@ class Inbox(NamedTuple):
     acceleration_ned: Vectors  # (n, N, 3) m/s², north, east, down
     euler: Vectors  # (n, N, 3) roll, pitch, yaw, rad
     euler_rates: Vectors  # (n, N, 3) derivatives of roll, pitch, yaw, rad/s
+
+
+@document_fields
+class Inbox(NamedTuple):
+    """What n followers' laws know of N aircraft: the newest messages, and what they say."""
+
+    stamp_s: Array  # (n, N) s, sender's time of the measurement; NaN: no message yet
+    received_s: Array  # (n, N) s, receiver's time of the arrival; NaN: no message yet
+    position_ned: Vectors  # (n, N, 3) m, north, east, down from the origin
+    velocity_ned: Vectors  # (n, N, 3) m/s over the ground, north, east, down
+    acceleration_ned: Vectors  # (n, N, 3) m/s², north, east, down
+    euler: Vectors  # (n, N, 3) roll, pitch, yaw, rad
+    euler_rates: Vectors  # (n, N, 3) derivatives of roll, pitch, yaw, rad/s
+    turn_rate: Array  # (n, N) rad/s, rate of the course, from velocity and acceleration
+    failed: BoolArray  # (n, N) the sender declares that it has failed
+    # (n, N, K) what the sender's law has sent, see `law.Outputs`; NaN: nothing yet, as always of
+    # the leader
+    payload: Vectors
 
 
 @document_fields
@@ -428,7 +464,7 @@ FOLLOWER = record_of(
 )
 # What a follower has received of one aircraft, what it used of that, and counters.
 LINK = record_of(
-    Inbox,
+    Messages,
     ("number", "i8"),  # of the newest message; -1: none
     ("measured_s", "f8"),  # s, true time of its content; nan: none
     ("age_s", "f8"),  # s, age of what the last control step used; nan: not used
@@ -464,6 +500,8 @@ class Sample(NamedTuple):
     lost: Annotated[BoolArray, Logged("lost")]
     events: tuple[Event, ...] = ()  # since the sample before
     faults: FaultState | None = None  # (N) active faults; None: the scenario has none
+    # (n, L) numbers of a user's law, (n,) where there is one; None: none
+    law: Array | None = None
     # AIRCRAFT (N,), FOLLOWER (n,) and LINK (n, N) that the fields above are views of; None: the
     # fields are separate arrays
     records: tuple[Records, Records, Records] | None = None
@@ -511,6 +549,7 @@ class RunInfo:
     # flight models
     integrators: Mapping[str, str] = field(default_factory=dict)
     engine: str = ""  # what steps the flight models: "compiled" or "jsbsim"; "" without them
+    law_numbers: tuple[str, ...] = ()  # L names of the numbers that a user's law logs
     # files of code that the scenario uses, by name
     code: Mapping[str, bytes] = field(default_factory=dict)
 

@@ -55,13 +55,14 @@ class SampleBuffer:
 
     Args:
         aircraft: N.
+        law_numbers: L, of a user's law.
 
     Attributes:
         earlier: the sample before the first one, of the flight as which this one begins; None:
             there is none.
     """
 
-    def __init__(self, aircraft: int) -> None:
+    def __init__(self, aircraft: int, law_numbers: int = 0) -> None:
         capacity = block_samples(aircraft)
         self.earlier: SampleRows | None = None
         self._ticks = np.zeros(capacity, np.int64)
@@ -83,22 +84,28 @@ class SampleBuffer:
             for field, array in values._asdict().items()
         }
         self._columns["lost"] = self._aircraft["lost"]
+        self._law = np.empty((capacity, aircraft - 1, law_numbers))
+        if law_numbers:
+            self._columns["law"] = one_or_all(self._law)
 
     @property
     def total(self) -> int:
         """Number of samples since the buffer was made."""
         return int(self._count[1])
 
-    def bind(self, records: tuple[Records, Records, Records], rate_hz: int, *, exact: bool) -> Call:
+    def bind(
+        self, records: tuple[Records, Records, Records], law: Array, rate_hz: int, *, exact: bool
+    ) -> Call:
         """Return the call that appends a sample of a flight.
 
         Args:
             records: AIRCRAFT (N,), FOLLOWER (n,) and LINK (n, N).
+            law: (n, L) numbers of a user's law.
             rate_hz: of the ticks.
             exact: the estimates are the truth.
         """
         self._inexact[:] = not exact
-        return Call(_append, *self._rows, *records, float(rate_hz), NOW)
+        return Call(_append, *self._rows, *records, law, float(rate_hz), NOW)
 
     def full_call(self) -> Call:
         """Return the call that returns whether the block is full."""
@@ -111,7 +118,8 @@ class SampleBuffer:
 
     @property
     def _rows(self) -> tuple[Any, ...]:
-        return self._ticks, self._count, self._aircraft, self._followers, *self._links
+        rows = self._ticks, self._count, self._aircraft, self._followers
+        return *rows, *self._links, self._law
 
     def unused_arrays(self) -> Iterable[NDArray[Any]]:
         """Return the arrays of a new buffer, which are written before they are read."""
@@ -130,7 +138,9 @@ class SampleBuffer:
             )
         if sample.records is not None:
             append: Any = _append
-            append(*self._rows, *sample.records, 1.0, float(sample.tick))
+            law = self._law[0] if sample.law is None else sample.law
+            law = law.reshape(self._law.shape[1:])
+            append(*self._rows, *sample.records, law, 1.0, float(sample.tick))
         else:
             self._copy(sample, row)
             self._ticks[row] = sample.tick
@@ -191,9 +201,10 @@ class BlockObserver(ABC):
         if self._buffer.is_full:
             self.take_block()
 
-    def _begin_blocks(self, aircraft: int) -> None:
-        """Start with the next sample of N aircraft."""
-        self.share(SampleBuffer(aircraft) if self._buffer is None else self._buffer)
+    def _begin_blocks(self, info: RunInfo) -> None:
+        """Start with the next sample of a run."""
+        sizes = len(info.names), len(info.law_numbers)
+        self.share(SampleBuffer(*sizes) if self._buffer is None else self._buffer)
 
     @property
     def _new(self) -> SampleRows:
@@ -252,9 +263,11 @@ def _append(
     age_s: Array,
     sent: UIntArray,
     delivered: UIntArray,
+    all_law: Array,
     aircraft: Records,
     followers: Records,
     links: Records,
+    law: Array,
     rate_hz: float,
     now: float,
 ) -> None:
@@ -265,6 +278,8 @@ def _append(
         all_aircraft[row, i] = aircraft[i]
     for i in range(len(followers)):
         all_followers[row, i] = followers[i]
+        for k in range(law.shape[1]):
+            all_law[row, i, k] = law[i, k]
         for m in range(len(aircraft)):
             link = links[i, m]
             age_s[row, i, m] = link.age_s
@@ -290,8 +305,20 @@ def _view_aircraft(aircraft: Records) -> dict[str, Any]:
     }
 
 
+def one_or_all(law: Array) -> Array:
+    """Return numbers (…, L) of a user's law, (…,) of one."""
+    one: Array = law[..., 0] if law.shape[-1] == 1 else law
+    return one
+
+
 def make_sample(
-    aircraft: Records, followers: Records, links: Records, *, exact: bool, faults: bool
+    aircraft: Records,
+    followers: Records,
+    links: Records,
+    law: Array | None = None,
+    *,
+    exact: bool,
+    faults: bool,
 ) -> Sample:
     """View records as a sample of tick 0.
 
@@ -299,6 +326,7 @@ def make_sample(
         aircraft: (N,) of AIRCRAFT.
         followers: (n,) of FOLLOWER.
         links: (n, N) of LINK.
+        law: (n, L) numbers of a user's law; None: none.
         exact: the estimate is the truth.
         faults: the scenario has faults.
     """
@@ -313,6 +341,7 @@ def make_sample(
         links=fields_of(LinkCounters, links),
         lost=aircraft["lost"],
         faults=fault_state(aircraft["faults"]) if faults else None,
+        law=None if law is None or not law.shape[1] else one_or_all(law),
         records=(aircraft, followers, links),
     )
 
@@ -326,4 +355,5 @@ def copy_sample(sample: Sample) -> Sample:
         exact=sample.estimate is sample.truth,
         faults=sample.faults is not None,
     )
-    return copied._replace(tick=sample.tick, time_s=sample.time_s, events=sample.events)
+    law = None if sample.law is None else sample.law.copy()
+    return copied._replace(tick=sample.tick, time_s=sample.time_s, events=sample.events, law=law)

@@ -26,12 +26,14 @@ from testbed.core.records import (
     FbwaCommand,
     Inbox,
     Indices,
+    OwnState,
     Record,
     Records,
     UnicycleCommand,
     Vector,
-    VehicleState,
 )
+from testbed.flight.law_inputs import Declared, WindEstimates, give_inputs
+from testbed.flight.law_reports import LawReports
 from testbed.flight.vehicles import Steps
 from testbed.formation.compiled_law import (
     UNICYCLE,
@@ -39,10 +41,10 @@ from testbed.formation.compiled_law import (
     LawCommand,
     allocate_command,
     allocate_inputs,
-    give_inputs,
 )
 from testbed.formation.control_step import control_step, finish_step
 from testbed.formation.law import FormationConfig, Law, LimiterFlag, Saturation
+from testbed.formation.law_outputs import outputs_of
 from testbed.formation.message_extrapolation import message_ages
 
 if TYPE_CHECKING:
@@ -68,12 +70,23 @@ def _memory_key(number: int, group: ControlGroup) -> str:
     return f"{number} {kind.__module__}.{kind.__qualname__}"
 
 
+@dataclass(frozen=True, slots=True)
+class LawSurroundings:
+    """What a user's law reads besides estimates and motions, and what it gives besides commands."""
+
+    wind: WindEstimates
+    declared: Declared
+    payloads: Array  # (n, N, K) numbers of the law in the newest messages
+    reports: LawReports
+
+
 class Control:
     """Step the control of n followers on the records of the run.
 
     Attributes:
         offsets: υ (N, 3) m of the followers' present slots.
         left: (n,) followers that have left the formation.
+        reports: outputs of a user's law.
     """
 
     def __init__(
@@ -84,6 +97,7 @@ class Control:
         offsets: Array,
         membership: FormationMembership | None,
         run: tuple[Records, Records, Records],
+        surroundings: LawSurroundings,
         companions: Companions | None = None,
         *,
         extrapolates: bool = False,
@@ -97,10 +111,12 @@ class Control:
             offsets: υ (N, 3) m of the followers' slots, the leader's zero first.
             membership: responses to declared failures; None: none.
             run: AIRCRAFT (N,), FOLLOWER (n,) and LINK (n, N).
+            surroundings: of a user's law.
             companions: that run the control; None: the autopilots' estimates are at hand.
             extrapolates: a user's law receives messages that are extrapolated to the present.
         """
         self._extrapolates = extrapolates
+        self._surroundings, self.reports = surroundings, surroundings.reports
         self.groups, self.offsets, self._membership = groups, offsets, membership
         self._aircraft, self._followers, self._links = run
         self._companions = companions
@@ -161,7 +177,8 @@ class Control:
         elif isinstance(group.law, CompiledLaw):
             steps = self.compiled_law_steps(group, group.law)
         else:
-            inputs = allocate_inputs(len(group.rows), self._links.shape[1])
+            sent = outputs_of(group.law).sent_numbers
+            inputs = allocate_inputs(len(group.rows), self._links.shape[1], sent)
             command = allocate_command(len(group.rows))
             before, after = self._inputs_call(group, *inputs), self._finish_call(group, command)
             steps = (
@@ -175,16 +192,40 @@ class Control:
     def compiled_law_steps(self, group: ControlGroup, law: CompiledLaw) -> Steps:
         """Return the steps of a group with a user's kernel, which may be another than its own."""
         then = partial(_report_command, law, group.config)
-        return (
+        steps: Steps = (
             self._inputs_call(group, law.own, law.inbox),
             (law.call, then),
             self._finish_call(group, law.command),
         )
+        if law.memory is None or not law.outputs.fields:
+            return steps
+        return *steps, self.reports.copy_call(group.rows, law.memory)
 
-    def _inputs_call(self, group: ControlGroup, own: VehicleState, inbox: Inbox) -> Call:
+    def changed_call(self, number: int) -> Call | None:
+        """Return the call after which `law_events` is needed where it returns true.
+
+        Args:
+            number: of the group; None is returned where its law declares no events.
+        """
+        if not self.reports.outputs.events:
+            return None
+        return self.reports.changed_call(self.groups[number].rows)
+
+    def law_events(self, number: int, now: float) -> list[Event]:
+        """Return the events of a group's law since the last call.
+
+        Args:
+            number: of the group.
+            now: s.
+        """
+        return list(self.reports.changes(self.groups[number].rows, now))
+
+    def _inputs_call(self, group: ControlGroup, own: OwnState, inbox: Inbox) -> Call:
         """Return what gives a user's law its inputs."""
         known = self._own, self._links, self._neighbours, self._parts[0]
-        return Call(give_inputs, group.rows, *known, self._extrapolates, own, inbox, NOW)
+        around = self._surroundings
+        also = around.wind, around.declared, around.payloads, self._extrapolates
+        return Call(give_inputs, group.rows, *known, *also, own, inbox, NOW)
 
     def _finish_call(self, group: ControlGroup, command: LawCommand) -> Call:
         """Return what comes after a user's law."""
@@ -195,7 +236,7 @@ class Control:
         self,
         number: int,
         law: Law,
-        inputs: tuple[VehicleState, Inbox],
+        inputs: tuple[OwnState, Inbox],
         command: LawCommand,
         finish: Call,
         now: float,
@@ -212,13 +253,15 @@ class Control:
         """
         group, followers = self.groups[number], self._followers
         rows = group.rows
-        own = VehicleState(*(each.copy() for each in inputs[0]))
-        inbox = Inbox(*(each.copy() for each in inputs[1]))
+        own = OwnState(*(each.copy() for each in inputs[0]))
+        inbox = Inbox._make(each.copy() for each in inputs[1])
         with _flight_errors(law):
             known = self._memory[_memory_key(number, group)]
             memory = law.start(own) if known is None else known[0]
             returned, memory = law.step(now, own, inbox, memory)
             valid = validate_command(returned, group.config, now)
+            if outputs_of(law).fields:
+                self.reports.copy(rows, memory)
         self._memory[_memory_key(number, group)] = (memory,)
         command.put(valid)
         finish(now)

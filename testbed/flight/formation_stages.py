@@ -88,7 +88,14 @@ class FormationStages:
         yield Stage(part, StageRate.BROADCAST, "write messages", call=call)
         send, then = radio.send_stage(self._truth)
         yield Stage(part, StageRate.BROADCAST, "send messages", call=send, then=then)
+        payloads = radio.payloads.count > 0
+        if payloads:
+            call, name = radio.keep_payloads_call(), "keep what laws have sent"
+            yield Stage(part, StageRate.BROADCAST, name, call=call)
         yield Stage(part, StageRate.CONTROL, "deliver messages", call=radio.deliver_call)
+        if payloads:
+            call, name = radio.payloads.receive_call(radio.links), "receive what laws have sent"
+            yield Stage(part, StageRate.CONTROL, name, call=call)
         for group, members in enumerate(parts.control.groups):
             if (learn := parts.control.membership_call(group)) is not None:
                 name, respond = "respond to declared failures", self._membership_step(group)
@@ -96,6 +103,9 @@ class FormationStages:
             name = "step law and middle loop"
             steps = parts.control.steps(group)
             yield from make_stages(part, StageRate.CONTROL, name, steps, group)
+            if (changed := parts.control.changed_call(group)) is not None:
+                name, tell = "find events of the law", self._law_step(group)
+                yield Stage(part, StageRate.CONTROL, name, call=changed, then=tell, group=group)
             call = self._link_monitor.neighbour_call(members.rows)
             then = self._neighbour_changes
             name = "count message ages, find timeouts"
@@ -152,6 +162,12 @@ class FormationStages:
                 self._update_left()
 
         return respond
+
+    def _law_step(self, group: int) -> Callable[[float], None]:
+        def tell(now: float) -> None:
+            self._events += self._parts.control.law_events(group, now)
+
+        return tell
 
     def _neighbour_changes(self, now: float) -> None:
         self._events += self._link_monitor.neighbour_changes(now)

@@ -103,9 +103,14 @@ class Flight:
             world.names, world.lowest_m, world.proximity, world.faults, fly_on=world.fly_on
         )
         self._gust_monitor = GustMonitor(world.gusts, world.names)
-        self._observers = Observers(observers, n)
+        self._law = np.zeros((n - 1, 0))
+        if world.parts is not None:
+            self._law = world.parts.control.reports.logged
+        self._observers = Observers(observers, n, self._law.shape[1])
         self._sample = make_sample(
-            aircraft, followers, links, exact=self._exact, faults=world.faults is not None
+            *(aircraft, followers, links, self._law),
+            exact=self._exact,
+            faults=world.faults is not None,
         )
         self._events = EventQueue(world.initial_events)
         self._formation: FormationStages | None = None
@@ -266,7 +271,8 @@ class Flight:
         # `_observe` appends it
         if buffer is not None and not external:
             records = world.aircraft, world.followers, world.links
-            call = buffer.bind(records, world.clock.base_rate_hz, exact=self._exact)
+            rate_hz = world.clock.base_rate_hz
+            call = buffer.bind(records, self._law, rate_hz, exact=self._exact)
             yield Stage(part, rate, "append a sample", call=call)
         if observers.of_samples or external:
             yield Stage(part, rate, "give events and a sample to observers", then=self._observe)

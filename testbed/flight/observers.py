@@ -55,8 +55,8 @@ class Observers:
         of_samples: observers that take single samples.
     """
 
-    def __init__(self, observers: Sequence[Observer], aircraft: int) -> None:
-        """Sort observers of N aircraft by what they take."""
+    def __init__(self, observers: Sequence[Observer], aircraft: int, law_numbers: int = 0) -> None:
+        """Sort observers of N aircraft, and of L numbers of a user's law, by what they take."""
         self._of_blocks = [each for each in observers if isinstance(each, BlockObserver)]
         self._of_events = [each for each in observers if getattr(each, "events_only", False)]
         apart = [*self._of_blocks, *self._of_events]
@@ -65,7 +65,7 @@ class Observers:
         self._others = [each for each in self.of_samples if each not in self._direct]
         self.buffer: SampleBuffer | None = None
         if self._of_blocks:
-            self.buffer = SampleBuffer(aircraft)
+            self.buffer = SampleBuffer(aircraft, law_numbers)
             for taker in self._of_blocks:
                 taker.share(self.buffer)
 

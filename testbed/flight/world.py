@@ -31,6 +31,7 @@ from testbed.flight.vehicles import ScriptedVehicle, Vehicles
 from testbed.formation import barrier
 from testbed.formation.barrier import sample_barrier
 from testbed.formation.law import FormationConfig
+from testbed.formation.law_outputs import Outputs, outputs_of
 from testbed.network.outages import Outages
 from testbed.network.radio import Radio
 from testbed.scenario.set_keys import UnusedKey
@@ -77,6 +78,11 @@ class BuiltControl:
     hold_stale_neighbours: bool
     messages: tuple[str, ...]  # about a user's code
     extrapolates: bool = False  # a user's law receives messages extrapolated to the present
+
+    @property
+    def outputs(self) -> Outputs:
+        """What a user's law gives besides commands."""
+        return outputs_of(self.groups[0].law)
 
     @property
     def barriers(self) -> tuple[tuple[int, float], ...]:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
-from math import isfinite, nan
+from collections.abc import Callable, Mapping, Sequence
+from math import isfinite
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias, TypeVar, overload
 
@@ -13,7 +13,7 @@ from numba.core import errors, types
 from numba.extending import overload as overload_in_kernels
 
 from testbed.core.call_list import NOW, Call, Words
-from testbed.core.compile import checked_kernel, entry, entry_of_user_code
+from testbed.core.compile import checked_kernel, entry_of_user_code
 from testbed.core.compile import kernel as core_kernel
 from testbed.core.field_docs import document_fields
 from testbed.core.records import (
@@ -21,14 +21,15 @@ from testbed.core.records import (
     FbwaCommand,
     Inbox,
     Indices,
+    OwnState,
     Records,
     UnicycleCommand,
     Values,
-    VehicleState,
     allocate,
 )
+from testbed.formation.follower_hbh23 import FollowerHbh23
 from testbed.formation.law import FormationConfig
-from testbed.formation.message_extrapolation import dead_reckon, message_time, timed_out
+from testbed.formation.law_outputs import Outputs
 
 F = TypeVar("F", bound=Callable[..., Any])
 LawOptions: TypeAlias = tuple[bool | int | float | tuple[float, ...], ...]
@@ -56,7 +57,7 @@ class FollowerConfig(NamedTuple):
     dt: float  # s, between two steps
     leader_timeout_s: float  # s since the last message, after which the leader is not used
     neighbour_timeout_s: float  # s, the same for a neighbour
-    hbh23: Records  # (1,) of LAW: the scenario's gains, for `command_from_velocity`
+    hbh23: FollowerHbh23  # the built-in law with the scenario's gains, to extend or wrap
 
 
 @overload
@@ -64,10 +65,23 @@ def kernel(function: F) -> F: ...
 
 
 @overload
-def kernel(*, memory: object = None) -> Callable[[F], F]: ...
+def kernel(
+    *,
+    memory: object = None,
+    send: Sequence[str] = (),
+    log: Sequence[str] = (),
+    events: Mapping[str, Sequence[str]] | None = None,
+) -> Callable[[F], F]: ...
 
 
-def kernel(function: F | None = None, *, memory: object = None) -> F | Callable[[F], F]:
+def kernel(
+    function: F | None = None,
+    *,
+    memory: object = None,
+    send: Sequence[str] = (),
+    log: Sequence[str] = (),
+    events: Mapping[str, Sequence[str]] | None = None,
+) -> F | Callable[[F], F]:
     """Compile a formation law of one follower, or a function that such a law calls.
 
         @testbed.kernel
@@ -85,6 +99,8 @@ def kernel(function: F | None = None, *, memory: object = None) -> F | Callable[
       follower's row among the N aircraft.
     - `memory` is a record, which the law writes in place and which is zero before the first step;
       None without the argument `memory`.
+    - `config.hbh23.step(now, own, inbox, memory.hbh23)` steps the built-in law and returns its
+      command; its memory is a field `("hbh23", testbed.law.HBH23_MEMORY)`.
     - Arguments behind `config` are `controller.options`: numbers, booleans, or lists of numbers,
       which are tuples of floats here.
 
@@ -95,35 +111,26 @@ def kernel(function: F | None = None, *, memory: object = None) -> F | Callable[
     Args:
         function: the law, or a function.
         memory: fields of the law's memory, as of a numpy dtype: `[("integral", float, 3)]`.
+        send: fields of floats that each message carries: the others have them in `inbox.payload`.
+        log: fields that the log has, in `law`.
+        events: texts of the values of integer fields; see `testbed.law.Outputs`.
 
     Raises:
-        ValueError: `memory` is no list of fields with numbers.
+        ValueError: `memory` is no list of fields with numbers, or lacks a field that is named.
     """
-    dtype = None if memory is None else _memory_dtype(memory)
+    outputs = Outputs(memory, send, log, events)
 
     def compile_law(function: F) -> F:
         compiled = checked_kernel(function)
-        compiled.law_memory = dtype  # type: ignore[attr-defined]
+        compiled.law_outputs = outputs  # type: ignore[attr-defined]
         return compiled
 
     return compile_law if function is None else compile_law(function)
 
 
-def _memory_dtype(value: Any) -> np.dtype[Any]:  # noqa: ANN401
-    try:
-        dtype: np.dtype[Any] = np.dtype(value, align=True)
-    except (TypeError, ValueError):
-        dtype = np.dtype(object)
-    if not dtype.names or any(dtype[name].base.kind not in "biuf" for name in dtype.names):
-        raise ValueError(
-            "memory is no list of fields with numbers (write memory=[('integral', float, 3)])"
-        )
-    return dtype
-
-
 def is_kernel(value: object) -> bool:
     """Return whether a value is a function under `@testbed.kernel`."""
-    return hasattr(value, "law_memory")
+    return hasattr(value, "law_outputs")
 
 
 def python_function(law: Any) -> Callable[..., Any]:  # noqa: ANN401 - numba's dispatcher
@@ -155,10 +162,18 @@ class LawCommand(NamedTuple):
 UNICYCLE, FBWA = 1, 2
 
 
-def allocate_inputs(n: int, aircraft: int) -> tuple[VehicleState, Inbox]:
-    """Return estimates of n followers and their messages of N aircraft, of zeros."""
-    own = VehicleState(*np.zeros((5, n, 3)), *np.zeros((2, n)))
-    return own, Inbox(*np.zeros((2, n, aircraft)), *np.zeros((5, n, aircraft, 3)))
+def allocate_inputs(n: int, aircraft: int, sent: int) -> tuple[OwnState, Inbox]:
+    """Return estimates of n followers and their messages of N aircraft, of zeros.
+
+    Args:
+        n: followers.
+        aircraft: N.
+        sent: numbers of the law in each message.
+    """
+    own = OwnState._make((*np.zeros((5, n, 3)), *np.zeros((2, n)), np.zeros((n, 3))))
+    received = *np.zeros((2, n, aircraft)), *np.zeros((5, n, aircraft, 3))
+    others = np.zeros((n, aircraft)), np.zeros((n, aircraft), dtype=bool)
+    return own, Inbox._make((*received, *others, np.zeros((n, aircraft, sent))))
 
 
 def allocate_command(n: int) -> LawCommand:
@@ -179,11 +194,12 @@ class CompiledLaw:
         inbox: (n, N) messages that it does.
         command: that it writes.
         call: step all followers; returns something but 0 where `raise_error` has something to say.
+        outputs: that it declares.
     """
 
     ALIKE = ("name",)  # another law has another memory
     __slots__ = (
-        *("name", "file", "own", "inbox", "command", "call"),
+        *("name", "file", "own", "inbox", "command", "call", "outputs"),
         *("_kernel", "_config", "_options", "_memory", "_failed", "_gains", "_given"),
     )
 
@@ -210,7 +226,8 @@ class CompiledLaw:
         function = python_function(law)
         self.name, self.file = function.__name__, function.__code__.co_filename
         n, aircraft = config.gains.shape[:2]
-        self.own, self.inbox = allocate_inputs(n, aircraft)
+        self.outputs: Outputs = law.law_outputs
+        self.own, self.inbox = allocate_inputs(n, aircraft, self.outputs.sent_numbers)
         self.command, self._options = allocate_command(n), options
         self._kernel = law
         # laws that name an old field are refused where it has no meaning; see `user_code`
@@ -225,8 +242,9 @@ class CompiledLaw:
         used = self._gains.view(hbh23.dtype).reshape(n).view(type(hbh23))
         used.flags.writeable = False
         # the fields of each follower are arrays (n, …)
-        self._config = FollowerConfig(**values, hbh23=used)
-        memory: np.dtype[Any] | None = law.law_memory
+        paper = FollowerHbh23(used, values["offsets"], values["gains"])
+        self._config = FollowerConfig(**values, hbh23=paper)
+        memory = self.outputs.memory
         self._memory = None if memory is None else allocate(memory, n)
         self._failed = np.zeros(1, dtype=np.intp)  # follower + 1; 0: none
         own, inbox = (type(each)(*map(_read_only, each)) for each in (self.own, self.inbox))
@@ -243,12 +261,12 @@ class CompiledLaw:
         """Memory (n,) that `call` steps the law with; None: it has none."""
         return self._memory
 
-    def start(self, own: VehicleState) -> Records | None:
+    def start(self, own: OwnState) -> Records | None:
         """Return the memory (n,) before the first step."""
         return None if self._memory is None else np.zeros_like(self._memory)
 
     def step(
-        self, now: float, own: VehicleState, inbox: Inbox, memory: Records | None
+        self, now: float, own: OwnState, inbox: Inbox, memory: Records | None
     ) -> tuple[UnicycleCommand | FbwaCommand[Array], Records | None]:
         """Step all followers; see `law.Law`."""
         for ours, theirs in zip((*self.own, *self.inbox), (*own, *inbox), strict=True):
@@ -271,7 +289,9 @@ class CompiledLaw:
             return
         row = int(self._failed[0]) - 1
         self._gains[:] = self._given
-        config = self._config._replace(hbh23=self._config.hbh23.view(np.recarray))
+        paper = self._config.hbh23
+        paper = paper._replace(gains=paper.gains.view(np.recarray))
+        config = self._config._replace(hbh23=paper)
         one = python_function(follower_config)(config, row)
         own, inbox = (type(each)(*(x[row] for x in each)) for each in (self.own, self.inbox))
         memory = None if self._memory is None else self._memory.view(np.recarray)[row]
@@ -322,7 +342,7 @@ def _make_step(law: Callable[..., Any], has_memory: bool) -> Callable[..., int]:
     step_one = checked_kernel(step_follower)
 
     def step_law(
-        own: VehicleState,
+        own: OwnState,
         inbox: Inbox,
         memory: Records,
         config: Values,
@@ -353,9 +373,9 @@ def _make_step(law: Callable[..., Any], has_memory: bool) -> Callable[..., int]:
 
 
 @core_kernel
-def own_state(own: VehicleState, i: int) -> VehicleState:
+def own_state(own: OwnState, i: int) -> OwnState:
     """Return the estimate of one of n followers."""
-    return VehicleState(
+    return OwnState(
         own.position_ned[i],
         own.velocity_ned[i],
         own.acceleration_ned[i],
@@ -363,6 +383,7 @@ def own_state(own: VehicleState, i: int) -> VehicleState:
         own.rates_body[i],
         own.airspeed[i],
         own.equivalent_airspeed[i],
+        own.wind_ned[i],
     )
 
 
@@ -377,6 +398,9 @@ def messages(inbox: Inbox, i: int) -> Inbox:
         inbox.acceleration_ned[i],
         inbox.euler[i],
         inbox.euler_rates[i],
+        inbox.turn_rate[i],
+        inbox.failed[i],
+        inbox.payload[i],
     )
 
 
@@ -401,7 +425,7 @@ def follower_config(config: Values, i: int) -> FollowerConfig:
         config.dt,
         config.leader_timeout_s,
         config.neighbour_timeout_s,
-        config.hbh23[i : i + 1],
+        FollowerHbh23(config.hbh23.gains[i : i + 1], config.offsets, config.gains[i]),
     )
 
 
@@ -474,63 +498,6 @@ def _write_fbwa(found: FbwaCommand[float], i: int, command: LawCommand) -> bool:
 _WRITERS: dict[type, Any] = {UnicycleCommand: _write_unicycle, FbwaCommand: _write_fbwa}
 
 
-@entry
-def give_inputs(
-    rows: Indices,
-    aircraft: Records,
-    links: Records,
-    neighbours: Records,
-    controllers: Records,
-    extrapolates: bool,
-    own: VehicleState,
-    inbox: Inbox,
-    now: float,
-) -> None:
-    """Copy what a user's law may read to the inputs of its next step.
-
-    Args:
-        rows: (m,) of the followers.
-        aircraft: (N,) of AIRCRAFT, with the estimates.
-        links: (n, N) of LINK.
-        neighbours: (n, N) of NEIGHBOUR; of those that are excluded the law has no message.
-        controllers: (n,) of CONTROLLER: how messages are extrapolated.
-        extrapolates: messages are extrapolated to the present, which is then their time; those
-            that have timed out stay as they were received.
-        own: (m); written.
-        inbox: (m, N); written.
-        now: s.
-    """
-    for k in range(len(rows)):
-        estimate = aircraft[rows[k] + 1].estimate
-        own.airspeed[k] = estimate.airspeed
-        own.equivalent_airspeed[k] = estimate.equivalent_airspeed
-        for axis in range(3):
-            own.position_ned[k, axis] = estimate.position_ned[axis]
-            own.velocity_ned[k, axis] = estimate.velocity_ned[axis]
-            own.acceleration_ned[k, axis] = estimate.acceleration_ned[axis]
-            own.euler[k, axis] = estimate.euler[axis]
-            own.rates_body[k, axis] = estimate.rates_body[axis]
-        for j in range(links.shape[1]):
-            link, other, law = links[rows[k], j], neighbours[rows[k], j], controllers[rows[k]].law
-            excluded = other.excluded
-            inbox.stamp_s[k, j] = nan if excluded else link.stamp_s
-            inbox.received_s[k, j] = nan if excluded else link.received_s
-            for axis in range(3):
-                inbox.position_ned[k, j, axis] = nan if excluded else link.position_ned[axis]
-                inbox.velocity_ned[k, j, axis] = nan if excluded else link.velocity_ned[axis]
-                acceleration = nan if excluded else link.acceleration_ned[axis]
-                inbox.acceleration_ned[k, j, axis] = acceleration
-                inbox.euler[k, j, axis] = nan if excluded else link.euler[axis]
-                inbox.euler_rates[k, j, axis] = nan if excluded else link.euler_rates[axis]
-            if extrapolates and not (excluded or timed_out(link, now, other.timeout_s)):
-                dt = now - message_time(law, link)
-                position, velocity = dead_reckon(link, dt, law.with_acceleration, 1.0)
-                inbox.stamp_s[k, j] = inbox.received_s[k, j] = now
-                for axis in range(3):
-                    inbox.position_ned[k, j, axis] = position[axis]
-                    inbox.velocity_ned[k, j, axis] = velocity[axis]
-
-
 _ANSI = re.compile(r"\x1b\[[0-9;]*m")
 _HEADING = "Failed in nopython mode pipeline"
 _SPECIFIC = re.compile(r"^\s*\w+Error: (?!Failed in )(.+)$", re.M)
@@ -558,7 +525,10 @@ def describe_compile_error(error: Exception, law: Callable[..., Any]) -> str:
 
 def _without_fields(text: str) -> str:
     """Remove the types of the fields behind the names of named tuples."""
-    for kind in (VehicleState, Inbox, FollowerConfig, UnicycleCommand, FbwaCommand, LawCommand):
+    for kind in (
+        *(OwnState, Inbox, FollowerConfig, FollowerHbh23),
+        *(UnicycleCommand, FbwaCommand, LawCommand),
+    ):
         while (at := text.find(f"{kind.__name__}(")) >= 0:
             begin = end = at + len(kind.__name__)
             depth = 0

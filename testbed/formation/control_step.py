@@ -20,13 +20,14 @@ from testbed.core.records import (
     MOTION,
     Array,
     Inbox,
+    Messages,
+    OwnState,
     Record,
     Records,
     UnicycleCommand,
     VehicleState,
     allocate,
     fields_of,
-    write_fields,
 )
 from testbed.formation import leader_filter, middle_loop
 from testbed.formation.hbh23 import (
@@ -193,14 +194,14 @@ class Hbh23Law:
         self.law, self.neighbours = law, neighbours
         self.step_reads, self.velocity_reads = step_reads, velocity_reads
 
-    def start(self, own: VehicleState) -> Hbh23Memory:
+    def start(self, own: VehicleState | OwnState) -> Hbh23Memory:
         """Return the memory before the first message."""
         memory = allocate(leader_filter.MEMORY, len(self.law))
         reset_leader_memory(memory)
         return Hbh23Memory(memory, *_held(self.neighbours))
 
     def step(
-        self, now: float, own: VehicleState, inbox: Inbox, memory: Hbh23Memory
+        self, now: float, own: VehicleState | OwnState, inbox: Messages | Inbox, memory: Hbh23Memory
     ) -> tuple[UnicycleCommand, Hbh23Memory]:
         """Step all n followers; see `law.Law`."""
         for each in self.step_reads:
@@ -213,13 +214,14 @@ class Hbh23Law:
             self.neighbours.copy(),
         )
         neighbours["held_position"], neighbours["held_time_s"] = memory[1:]
-        write_fields(estimate, own)
-        write_fields(links, inbox)
+        _write_own(estimate, own)
+        for name in Messages._fields:
+            links[name] = getattr(inbox, name)
         _step_laws(now, self.law, estimate, links, neighbours, leader, out)
         return unicycle_command(out), Hbh23Memory(leader, *_held(neighbours))
 
     def command_from_velocity(
-        self, own: VehicleState, velocity_ned: Array, acceleration_ned: Array
+        self, own: VehicleState | OwnState, velocity_ned: Array, acceleration_ned: Array
     ) -> UnicycleCommand:
         """Compute the inputs of the extended unicycle that reach desired velocities.
 
@@ -231,9 +233,14 @@ class Hbh23Law:
         for each in self.velocity_reads:
             each.use()
         estimate, out = allocate(MOTION, len(self.law)), allocate(FOLLOWER, len(self.law))
-        write_fields(estimate, own)
+        _write_own(estimate, own)
         _reach_velocities(self.law, estimate, velocity_ned, acceleration_ned, out)
         return unicycle_command(out)
+
+
+def _write_own(estimate: Records, own: VehicleState | OwnState) -> None:
+    for name in VehicleState._fields:
+        estimate[name] = getattr(own, name)
 
 
 def _held(neighbours: Records) -> tuple[np.ndarray, np.ndarray]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from testbed.core.errors import InputError
 from testbed.core.field_docs import document_fields
-from testbed.core.records import Array, FbwaCommand, Inbox, UnicycleCommand, VehicleState
+from testbed.core.records import Array, FbwaCommand, Inbox, OwnState, UnicycleCommand
 
 OLD_BOUNDS = (
     "is no bound of the ground speed here: in wind the bounds are those of the airspeed (write "
@@ -93,13 +93,13 @@ class FormationConfig:
 class Law(Protocol):
     """A formation law of n followers."""
 
-    def start(self, own: VehicleState) -> Any:  # noqa: ANN401 - the law's own
+    def start(self, own: OwnState) -> Any:  # noqa: ANN401 - the law's own
         """Return the memory before the first step, from the followers' first estimates (n)."""
 
     def step(
         self,
         now: float,
-        own: VehicleState,
+        own: OwnState,
         inbox: Inbox,
         memory: Any,  # noqa: ANN401
     ) -> tuple[UnicycleCommand | FbwaCommand[Array], Any]:

@@ -11,7 +11,7 @@ from numba.extending import overload
 
 from testbed.core.compile import kernel
 from testbed.core.frames import norm
-from testbed.core.records import Array, UnicycleCommand, Values, Vector, VehicleState
+from testbed.core.records import Array, OwnState, UnicycleCommand, Values, Vector
 from testbed.formation.compiled_law import FollowerConfig, require_vector
 from testbed.formation.control_step import Hbh23Law
 from testbed.formation.hbh23 import reach_velocity
@@ -20,7 +20,7 @@ from testbed.formation.law import FormationConfig
 
 def command_from_velocity(
     config: FormationConfig | FollowerConfig,
-    own: VehicleState,
+    own: OwnState,
     velocity_ned: Array,
     acceleration_ned: Array | float = 0.0,
 ) -> UnicycleCommand:
@@ -68,9 +68,7 @@ def command_from_velocity(
     return law.command_from_velocity(own, *arrays)
 
 
-def ground_speed_bounds(
-    config: FormationConfig | FollowerConfig, own: VehicleState
-) -> tuple[Any, Any]:
+def ground_speed_bounds(config: FormationConfig | FollowerConfig, own: OwnState) -> tuple[Any, Any]:
     """Compute the bounds of the speeds over the ground that followers can fly now.
 
     They are those with which the built-in law flies: the bounds of the airspeed, shifted by ground
@@ -122,7 +120,7 @@ def _follower_command(
     for each in (*p, *p_rate):
         if not isfinite(each):
             raise ValueError("velocity_ned or acceleration_ned is not finite")
-    law, airspeed = config.hbh23[0], own.airspeed
+    law, airspeed = config.hbh23.gains[0], own.airspeed
     if p[0] == 0.0 and p[1] == 0.0 and (law.horizontal or p[2] == 0.0):
         raise ValueError("velocity_ned is zero: it has no direction")
     u, omega, s_d, y_d, flags = reach_velocity(law, own.velocity_ned, airspeed, p, p_rate)

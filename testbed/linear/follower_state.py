@@ -18,6 +18,7 @@ from testbed.compiled.frame import quaternion_of
 from testbed.core.frames import course
 from testbed.core.records import Array, Records
 from testbed.formation.compiled_law import CompiledLaw
+from testbed.formation.follower_hbh23 import HBH23_MEMORY
 from testbed.formation.law import Law
 from testbed.linear.held_flight import HeldFlight
 
@@ -188,6 +189,9 @@ def law_memory(law: Law | None) -> Records | None:
 def _law_fields(memory: Records, row: int) -> Iterator[_Numbers]:
     """Yield the floating-point numbers of a row of a law's memory that have a value."""
     for name in memory.dtype.names or ():
+        if memory.dtype[name].base == HBH23_MEMORY:
+            skip = ("time_s",)  # as of the built-in law
+            yield from _float_fields(f"{LAW}/{name}", memory[name], row, skip)
         if memory.dtype[name].base != np.float64:
             continue
         view = memory[name][row : row + 1].reshape(-1)

@@ -256,6 +256,9 @@ def _check_linearisable(world: World) -> None:
         )
     elif memory:
         problem, remedy = memory[0]
+    elif formation.built_control.outputs.sent:
+        problem = "the law reads numbers that the laws of others send"
+        remedy = "margins: write --method flown"
     elif formation.companions is not None:
         problem, remedy = (
             "companion computers hold commands back",

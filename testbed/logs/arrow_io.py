@@ -16,7 +16,6 @@ from typing import IO, Any
 from testbed.core.errors import InputError, needs_extra
 from testbed.core.input_files import MAX_PARQUET_BYTES, open_regular
 from testbed.logs.flight_data import FlightData, Numbers, table_parts
-from testbed.logs.messages import QUANTITIES
 
 with needs_extra("study", "Parquet"):
     import pyarrow as arrow
@@ -52,7 +51,7 @@ def _schema(flight: FlightData) -> Any:  # noqa: ANN401 - pyarrow has no types
         arrow.field("time_s", arrow.float64(), metadata={"unit": "s"}),
         arrow.field("aircraft", arrow.dictionary(arrow.int32(), arrow.string())),
     ]
-    for each in QUANTITIES.values():
+    for each in flight.quantities.values():
         kind = arrow.uint32() if each.integer else arrow.float64()
         if each.source == "lost":
             kind = arrow.bool_()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from operator import attrgetter
 from typing import IO, TYPE_CHECKING, Any
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from testbed.core.errors import needs_extra
 from testbed.core.records import Array, BoolArray, Event, RunInfo
-from testbed.logs.messages import QUANTITIES, Quantity
+from testbed.logs.messages import Quantity, quantities_of
 from testbed.logs.read import RunLog, read_log
 from testbed.logs.run_directory import METRICS_NAME, SCENARIO_NAME, find_run
 from testbed.scenario.arguments import check_path
@@ -94,9 +94,14 @@ class FlightData:
         """The content of metrics.json without wall-clock times; None if the run was cut short."""
         return self.log.metrics
 
+    @property
+    def quantities(self) -> Mapping[str, Quantity]:
+        """The quantities of the log by name: those of each log, and numbers that a law logs."""
+        return quantities_of(self.info.law_numbers)
+
     def keys(self) -> tuple[str, ...]:
         """List the names of all quantities."""
-        return tuple(QUANTITIES)
+        return tuple(self.quantities)
 
     def __getitem__(self, name: str) -> Numbers:
         """Return a quantity (K, N), or (K, N, N) if it is about each aircraft.
@@ -104,13 +109,14 @@ class FlightData:
         Raises:
             KeyError: No quantity has this name; suggests similar ones.
         """
-        if name not in QUANTITIES:
-            similar = difflib.get_close_matches(name, QUANTITIES, n=3)
-            similar += [key for key in QUANTITIES if name and name in key and key not in similar]
+        known = self.quantities
+        if name not in known:
+            similar = difflib.get_close_matches(name, known, n=3)
+            similar += [key for key in known if name and name in key and key not in similar]
             similar = similar[:MAX_SUGGESTIONS]
             hint = f"; did you mean {', '.join(similar)}?" if similar else "; keys() lists them"
             raise KeyError(f"{name}{hint}")
-        return self.values(QUANTITIES[name])
+        return self.values(known[name])
 
     def values(self, quantity: Quantity, rows: slice = slice(None)) -> Numbers:
         """Return some samples of a quantity."""
@@ -146,7 +152,7 @@ class FlightData:
 
         index = [self.time_s, list(self.names)]
         columns = {}
-        for quantity in QUANTITIES.values():
+        for quantity in self.quantities.values():
             values = self.values(quantity)
             if quantity.followers_only and values.dtype.kind == "u":
                 values = values.astype(np.float64)
@@ -170,7 +176,7 @@ class FlightData:
                 self.values(each),
                 {"units": each.unit} if each.unit else {},
             )
-            for each in QUANTITIES.values()
+            for each in self.quantities.values()
         }
         coordinates = {"time_s": self.time_s, "aircraft": names, "other": names}
         return xarray.Dataset(variables, coords=coordinates, attrs=self.documents())
@@ -205,7 +211,7 @@ def table_parts(flight: FlightData) -> Iterator[Part]:
         time_s = flight.time_s[rows]
         aircraft = np.tile(np.arange(count, dtype=np.int32), time_s.size)
         columns = []
-        for each in QUANTITIES.values():
+        for each in flight.quantities.values():
             values = flight.values(each, rows)
             absent = aircraft == 0 if each.followers_only else np.zeros(aircraft.size, dtype=bool)
             for other in range(count if each.per_aircraft else 1):
@@ -222,7 +228,7 @@ def write_csv(flight: FlightData, file: IO[bytes]) -> None:
 
     Neither fields nor aircraft have a comma in their names. Flags are true and false.
     """
-    names = [name for each in QUANTITIES.values() for name in each.columns(flight.names)]
+    names = [name for each in flight.quantities.values() for name in each.columns(flight.names)]
     file.write((",".join(["time_s", "aircraft", *names]) + "\n").encode())
     for time_s, aircraft, values in table_parts(flight):
         columns = [list(map(repr, time_s.tolist())), [flight.names[k] for k in aircraft.tolist()]]

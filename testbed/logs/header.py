@@ -55,6 +55,7 @@ class _Header(BaseModel):
     start_unix_ns: Annotated[int, Field(ge=0, le=MAX_START_NS)]
     integrators: dict[str, str]
     engine: Literal["", "compiled", "jsbsim"] = ""  # logs of earlier versions do not have it
+    law_numbers: tuple[str, ...] = ()  # in logs with such numbers
 
 
 def metadata(info: RunInfo) -> dict[str, str]:
@@ -78,6 +79,8 @@ def to_json(info: RunInfo) -> str:
         for field in dataclasses.fields(info)
         if field.name not in ("directory", "make_yaml", "code")
     }
+    if not info.law_numbers:
+        del values["law_numbers"]
     values["origin"] = dataclasses.asdict(info.origin)
     values["leader_path_ned"] = np.asarray(info.leader_path_ned).tolist()
     values["windows"] = dict(info.windows)
@@ -119,6 +122,10 @@ def _check_sizes(header: _Header) -> None:
     for name, size in (sizes | {"roll_limit_rad": n}).items():
         if len(getattr(header, name)) != size:
             raise ValueError(f"{name}: has {len(getattr(header, name))} elements, not {size}")
+    if len(set(header.law_numbers)) < len(header.law_numbers) or not all(
+        each.isidentifier() for each in header.law_numbers
+    ):
+        raise ValueError("law_numbers: has repeated names, or one that is no name of a field")
     for name in ("barriers", "barrier_samples"):
         if len(getattr(header, name)) not in (0, n):
             raise ValueError(f"{name}: has {len(getattr(header, name))} elements, not {n}")

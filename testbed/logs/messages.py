@@ -13,7 +13,7 @@ from functools import cache
 from typing import Any, get_origin, get_type_hints
 
 from testbed.core.identifiers import identifiers
-from testbed.core.records import Sample, logged_fields
+from testbed.core.records import AXES, Sample, logged_fields
 
 LOG_SCHEMA = 6  # raised when a topic or field is renamed, removed, required or of another meaning
 
@@ -121,6 +121,16 @@ FORMATION = Topic(
 NETWORK = Topic("network", followers_only=True, columns=_columns("links"))
 TOPICS = (STATE, ESTIMATE, COMMAND, FORMATION, ESTIMATED_ERROR, NETWORK)
 
+
+@cache
+def topics_of(law_numbers: tuple[str, ...]) -> tuple[Topic, ...]:
+    """Return the topics of a log, with `law` where a user's law logs numbers of these names."""
+    if not law_numbers:
+        return TOPICS
+    numbers = Column("law", law_numbers, "f8", per_aircraft=False)
+    return *TOPICS, Topic("law", followers_only=True, columns=(numbers,))
+
+
 # The last word of a name is its unit; other names are dimensionless.
 UNITS: Mapping[str, str] = {
     "m": "m",
@@ -160,6 +170,13 @@ class Quantity:
         return tuple(f"{stem}_{name}_{unit}" for name in names)
 
 
+def _unit(field: str) -> str:
+    """Return the unit of a field; an index or an axis behind it names the number of a vector."""
+    words = field.split("_")
+    last = words[-2] if len(words) > 1 and (words[-1].isdigit() or words[-1] in AXES) else words[-1]
+    return UNITS.get(last, "")
+
+
 def _quantities(topic: Topic) -> Iterator[Quantity]:
     for column in topic.columns:
         for i, field in enumerate(column.names):
@@ -168,7 +185,7 @@ def _quantities(topic: Topic) -> Iterator[Quantity]:
                 name=field if prefixed else f"{topic.name}_{field}",
                 topic=topic,
                 field=field,
-                unit=UNITS.get(field.rpartition("_")[2], ""),
+                unit=_unit(field),
                 source=column.source,
                 component=i if len(column.names) > 1 else None,
                 followers_only=topic.followers_only,
@@ -177,7 +194,11 @@ def _quantities(topic: Topic) -> Iterator[Quantity]:
             )
 
 
-# By name.
-QUANTITIES: Mapping[str, Quantity] = {
-    each.name: each for topic in TOPICS for each in _quantities(topic)
-}
+@cache
+def quantities_of(law_numbers: tuple[str, ...]) -> Mapping[str, Quantity]:
+    """Return the quantities of a log by name; see `topics_of`."""
+    topics = topics_of(law_numbers)
+    return {each.name: each for topic in topics for each in _quantities(topic)}
+
+
+QUANTITIES = quantities_of(())  # of each log

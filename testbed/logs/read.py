@@ -29,7 +29,7 @@ from testbed.core.records import (
 from testbed.logs import mcap_file
 from testbed.logs.header import CODE_SUFFIX, INFO_NAME, METADATA_NAME, from_json
 from testbed.logs.mcap_file import LogError, McapContents
-from testbed.logs.messages import LOG_SCHEMA, RECORDS, STATE, TOPICS, Topic
+from testbed.logs.messages import LOG_SCHEMA, RECORDS, STATE, Topic, topics_of
 from testbed.logs.proto_template import IntArray, topic_template
 from testbed.logs.run_directory import METRICS_NAME, SCENARIO_NAME
 from testbed.scenario import Scenario, loads
@@ -59,6 +59,7 @@ class RunLog:
     formation: FormationState  # (K, n, ...)
     links: LinkCounters  # (K, n, N) zero in samples before the log counts messages
     lost: BoolArray  # (K, N)
+    law: Array | None  # (K, n, L) numbers of a user's law, (K, n) where there is one; None: none
     events: tuple[Event, ...]
     metrics: Metrics | None  # None: missing or empty, the run was cut short
     finished: bool  # False: the writer did not close the file
@@ -96,9 +97,9 @@ def read_log(path: Path) -> RunLog:
     tick = _ticks(state.time_ns if state else [], info)
     if np.any(np.diff(tick) <= 0):
         raise LogError(f"{path}: /{info.names[0]}/{STATE.name}: times do not increase")
-    _refuse_size(path, contents, tick.size, len(info.names))
+    _refuse_size(path, contents, tick.size, info)
     columns: dict[str, Any] = {}
-    for topic in TOPICS:
+    for topic in topics_of(info.law_numbers):
         columns |= _read_columns(path, contents, topic, info, tick, columns)
     records = {name: _record(name, columns) for name in _RECORD_NAMES}
     truth, estimate = records["truth"], records["estimate"]
@@ -113,6 +114,7 @@ def read_log(path: Path) -> RunLog:
         time_s=tick / info.base_rate_hz,
         **records,
         lost=columns["lost"],
+        law=columns.get("law"),
         events=_events(path, contents, info.start_unix_ns),
         metrics=cast("Metrics | None", metrics or None),  # not checked: see metrics.document_check
         finished=contents.finished,
@@ -138,6 +140,7 @@ def samples(log: RunLog) -> Iterator[Sample]:
             time_s=time_s,
             **_records_at(log, k),
             lost=log.lost[k],
+            law=None if log.law is None else log.law[k],
             events=tuple(events[first:used]),
         )
 
@@ -159,6 +162,7 @@ def select_window(log: RunLog, begin_s: float, end_s: float) -> RunLog:
         log,
         **{name: getattr(log, name)[rows] for name in ("tick", "time_s", "lost")},
         **_records_at(log, rows),
+        law=None if log.law is None else log.law[rows],
         events=tuple(event for event in log.events if begin_s <= event.time_s <= end_s),
     )
 
@@ -218,15 +222,16 @@ def _run_info(path: Path, contents: McapContents) -> RunInfo:
         raise LogError(f"{path}: {error}") from error
 
 
-def _refuse_size(path: Path, contents: McapContents, count: int, aircraft: int) -> None:
+def _refuse_size(path: Path, contents: McapContents, count: int, info: RunInfo) -> None:
     """Refuse samples whose arrays are much larger than the messages they come from.
 
     Raises:
         LogError: With both numbers.
     """
+    aircraft = len(info.names)
     per_aircraft = sum(
         aircraft if column.per_aircraft else len(column.names)
-        for topic in TOPICS
+        for topic in topics_of(info.law_numbers)
         for column in topic.columns
     )
     values = count * aircraft * per_aircraft

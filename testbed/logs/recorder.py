@@ -28,7 +28,7 @@ from testbed.logs.message_batch import (
     Schema,
     message_batch,
 )
-from testbed.logs.messages import ESTIMATE, ESTIMATED_ERROR, NETWORK, TOPICS, Topic
+from testbed.logs.messages import ESTIMATE, ESTIMATED_ERROR, NETWORK, Topic, topics_of
 from testbed.logs.proto_template import (
     GnssFixes,
     IntArray,
@@ -99,7 +99,7 @@ class McapRecorder(BlockObserver):
             file.attachment(name, "text/x-python", code)
         file.attachment(INFO_NAME, "application/json", to_json(info).encode())
         self._encoder = _SampleEncoder(file, info)
-        self._begin_blocks(len(info.names))
+        self._begin_blocks(info)
         self._events: list[tuple[int, Event]] = []  # with the sample they follow in the chunk
         self._tail: tuple[int, int] = (0, 0)  # number of samples and events in it
         self._flushed = time.monotonic()
@@ -235,7 +235,8 @@ class McapRecorder(BlockObserver):
         """Encode samples, and the events since the last chunk, for a file."""
         if len(samples.ticks):
             differ = bool(samples.inexact.any())
-            topics = _changed_topics(samples.columns, estimates_differ=differ)
+            of_run = topics_of(self._info.law_numbers)
+            topics = _changed_topics(of_run, samples.columns, estimates_differ=differ)
             yield from encoder.encode(samples.ticks, samples.columns, topics)
         if self._events:
             order, events = zip(*self._events, strict=True)
@@ -286,7 +287,7 @@ class _SampleEncoder:
         self._fixes = GnssFixes(names)
         self._fix_stride = max(1, round(info.sample_rate_hz / FIX_HZ))
         self._topics: dict[Topic, tuple[ProtoTemplate, list[LogChannel]]] = {}
-        for topic in TOPICS:
+        for topic in topics_of(info.law_numbers):
             agents = names[1:] if topic.followers_only else names
             if agents:
                 schema = topic_schema(topic, names)
@@ -344,10 +345,13 @@ class _SampleEncoder:
         return self._rows[topics]
 
 
-def _changed_topics(columns: Columns, *, estimates_differ: bool) -> list[Topic]:
+def _changed_topics(
+    topics: Sequence[Topic], columns: Columns, *, estimates_differ: bool
+) -> list[Topic]:
     """Select the topics to write: estimates that differ from the truth, links that lost messages.
 
     Args:
+        topics: of the run.
         columns: arrays (K, ...) by source.
         estimates_differ: False if all estimates are the truth itself.
     """
@@ -356,7 +360,7 @@ def _changed_topics(columns: Columns, *, estimates_differ: bool) -> list[Topic]:
         # compared by bits, so that NaN equals itself
         return columns[one].tobytes() != columns[other].tobytes()
 
-    written = {topic for topic in TOPICS if topic not in (ESTIMATE, ESTIMATED_ERROR, NETWORK)}
+    written = {topic for topic in topics if topic not in (ESTIMATE, ESTIMATED_ERROR, NETWORK)}
     if estimates_differ:
         for topic in (ESTIMATE, ESTIMATED_ERROR):
             if any(differ(column.source, column.default_source or "") for column in topic.columns):
@@ -364,7 +368,7 @@ def _changed_topics(columns: Columns, *, estimates_differ: bool) -> list[Topic]:
     # the counts are cumulative: after the first loss they differ for ever
     if differ("links.sent", "links.delivered"):
         written.add(NETWORK)
-    return [topic for topic in TOPICS if topic in written]
+    return [topic for topic in topics if topic in written]
 
 
 def _static_transform(time_ns: IntArray) -> bytes:

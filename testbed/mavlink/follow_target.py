@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from testbed.core.frames import body_rates, euler_from_quaternion, euler_rates, quaternion_xyzw
 from testbed.core.geodetic import geodetic_from_ned, longitude_e7, ned_from_geodetic
 from testbed.core.records import Array, BoolArray, Broadcast, NedOrigin
+from testbed.mavlink.frame_checksum import FrameChecksum
+from testbed.mavlink.law_payload import LawPayload
 
 Frames = NDArray[np.uint8]
 IntArray = NDArray[np.int64]
@@ -58,43 +60,38 @@ BEGIN_MS = 3_600_000
 _ROUNDING_MS = 1e-6  # so that rounding errors do not truncate a tick to the ms before
 
 
-def _checksum_tables() -> tuple[int, NDArray[np.uint16]]:
-    """Compute the CRC-16/MCRF4XX of a frame of zeros, and the contribution of every byte value.
-
-    The checksum is linear: that of a frame is the exclusive or of the contributions of its bytes.
-    """
-    zeros, polynomial = 0xFFFF, 0x8408  # initial value; x^16 + x^12 + x^5 + 1, reflected
-    table: NDArray[np.uint16] = np.arange(256, dtype=np.uint16)
-    for _ in range(8):
-        table = np.where(table & 1, (table >> 1) ^ polynomial, table >> 1).astype(np.uint16)
-    summed = LENGTH - 3  # all but the first byte and the checksum itself
-    tables = np.empty((summed, 256), np.uint16)
-    added = (table >> 8) ^ table[table & 0xFF]  # by the last byte, which the seed follows
-    for place in reversed(range(summed)):
-        tables[place] = added
-        added = (added >> 8) ^ table[added & 0xFF]
-    for byte in (*bytes(summed), SEED):
-        zeros = (zeros >> 8) ^ int(table[(zeros ^ byte) & 0xFF])
-    return zeros, tables
-
-
-_OF_ZEROS, _TABLES = _checksum_tables()
-_PLACES = np.arange(len(_TABLES))
+_CHECKSUM = FrameChecksum(LENGTH, SEED)
 
 
 def checksum(frames: Frames) -> NDArray[np.uint16]:
     """Compute the checksums (K,) of frames (K, LENGTH)."""
-    added = _TABLES[_PLACES, frames[:, 1:-2]]
-    found: NDArray[np.uint16] = np.bitwise_xor.reduce(added, axis=1) ^ np.uint16(_OF_ZEROS)
-    return found
+    return _CHECKSUM.of(frames)
 
 
 class FollowTarget:
-    """Convert broadcasts to frames, and frames to broadcasts."""
+    """Convert broadcasts to frames, and frames to broadcasts.
 
-    def __init__(self, origin: NedOrigin) -> None:
-        """Use this origin of the NED positions in broadcasts; frames have geodetic positions."""
-        self._origin = origin
+    Attributes:
+        payload_bytes: length of a frame with numbers of a law's own.
+    """
+
+    def __init__(self, origin: NedOrigin, payload: int = 0) -> None:
+        """See the class.
+
+        Args:
+            origin: of the NED positions in broadcasts; frames have geodetic positions.
+            payload: numbers of a law's own with each broadcast, in a second frame.
+        """
+        self._origin, self._payload = origin, LawPayload(payload)
+        self.payload_bytes = self._payload.length
+
+    def pack_payload(self, values: Array, rows: IntArray, numbers: IntArray) -> Frames:
+        """Pack numbers of a law's own; see `LawPayload.pack`."""
+        return self._payload.pack(values, rows, numbers)
+
+    def unpack_payload(self, frames: Frames) -> Array:
+        """Unpack numbers of a law's own; see `LawPayload.unpack`."""
+        return self._payload.unpack(frames)
 
     def pack(self, message: Broadcast, rows: IntArray, numbers: IntArray) -> Frames:
         """Pack the broadcasts of S aircraft to frames (S, LENGTH).

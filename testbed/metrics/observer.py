@@ -58,7 +58,7 @@ class MetricsObserver(BlockObserver):
             medium_ned=np.array(info.bounded_in_ned),
         )
         self._events = []
-        self._begin_blocks(len(info.names))
+        self._begin_blocks(info)
 
     def reseed(self, seed: int) -> None:
         """Set the seed that the summary shows, after `begin`."""

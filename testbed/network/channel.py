@@ -63,13 +63,16 @@ class Channel(NamedTuple):
     tables: Records  # (T,) of DELAY_TABLE, one at least
 
 
-def make_channel(pairs: PairLinks, seed: int, subscribed: BoolArray | None = None) -> Channel:
+def make_channel(
+    pairs: PairLinks, seed: int, subscribed: BoolArray | None = None, payload_bytes: int = 0
+) -> Channel:
     """Make the channel of a scenario's network.
 
     Args:
         pairs: the links of N aircraft.
         seed: of the run; with the names of a link it gives the key of its random numbers.
         subscribed: (n, N) whether followers use the messages of aircraft; None: all.
+        payload_bytes: of a law's own in each packet, in a second message.
 
     Raises:
         InputError: a file of delays cannot be read.
@@ -77,7 +80,7 @@ def make_channel(pairs: PairLinks, seed: int, subscribed: BoolArray | None = Non
     names, network = pairs.names, pairs.network
     links = allocate(LINK_PARAMETERS, len(names) - 1, len(names))
     tables: list[Array] = []
-    made: dict[tuple[int, str], Records] = {}  # equal links are made once
+    made: dict[tuple[int, str, bool], Records] = {}  # equal links are made once
     for i, receiver in enumerate(names[1:]):
         for m, sender in enumerate(names):
             if sender == receiver:
@@ -86,10 +89,11 @@ def make_channel(pairs: PairLinks, seed: int, subscribed: BoolArray | None = Non
                 links["unsubscribed"][i, m] = True
             else:
                 number = int(pairs.numbers[i, m])
-                same = number, sender if network.tdma else ""
+                same = number, sender if network.tdma else "", m == 0
                 if same not in made:
                     link = pairs.distinct[number]
-                    made[same] = _parameters(network, link, sender, names, tables)
+                    added = payload_bytes if m else 0  # the leader has no law
+                    made[same] = _parameters(network, link, sender, names, tables, added)
                 links[i, m] = made[same]
             links["key"][i, m] = key_of(seed, f"network/{sender}>{receiver}")
     records = allocate(DELAY_TABLE, max(len(tables), 1))
@@ -99,7 +103,12 @@ def make_channel(pairs: PairLinks, seed: int, subscribed: BoolArray | None = Non
 
 
 def _parameters(
-    network: Network, link: Link, sender: str, names: Sequence[str], tables: list[Array]
+    network: Network,
+    link: Link,
+    sender: str,
+    names: Sequence[str],
+    tables: list[Array],
+    added_bytes: int,
 ) -> Records:
     """Return the parameters () of one link; tables that it needs are added."""
     record = np.zeros((), dtype=LINK_PARAMETERS)
@@ -125,7 +134,7 @@ def _parameters(
     record["random"] = events or record["loss"] or record["jitter"]
     queues = []
     if link.rate and link.rate.bit_per_s:
-        bits = 8 * (network.sent_bytes + link.rate.overhead_bytes)
+        bits = 8 * (network.sent_bytes + added_bytes + link.rate.overhead_bytes)
         record["service"] = bits / link.rate.bit_per_s
         queues.append(link.rate.queue_packets)
     if link.slots and link.slots.every_s[1]:

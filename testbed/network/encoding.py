@@ -16,7 +16,13 @@ Frames = NDArray[np.uint8]
 
 
 class Encoding(Protocol):
-    """Pack messages into frames of L bytes and unpack them."""
+    """Pack messages into frames of L bytes and unpack them.
+
+    Attributes:
+        payload_bytes: behind the L bytes of the motion, a frame with numbers of a law's own.
+    """
+
+    payload_bytes: int
 
     def pack(self, message: Broadcast, rows: Numbers, numbers: Numbers) -> Frames:
         """Return the frames (S, L) of S messages.
@@ -26,6 +32,18 @@ class Encoding(Protocol):
             rows: (S,) of the senders.
             numbers: (S,) sequence numbers.
         """
+
+    def pack_payload(self, values: Array, rows: Numbers, numbers: Numbers) -> Frames:
+        """Return the second frames (S, payload_bytes) of S messages with K numbers.
+
+        Args:
+            values: (S, K)
+            rows: (S,) of the senders.
+            numbers: (S,) sequence numbers of the messages.
+        """
+
+    def unpack_payload(self, frames: Frames) -> Array:
+        """Return the numbers (S, K) of second frames."""
 
     def unpack(self, frames: Frames) -> tuple[Broadcast, Numbers, BoolArray]:
         """Return K messages, the rows of their senders (K,), and whether they are valid (K,).
@@ -52,8 +70,15 @@ class Encoder:
 
     UNSAVED = ("_frames",)
 
-    def __init__(self, encoding: Encoding, channel: Channel) -> None:
-        self._encoding, self._channel = encoding, channel
+    def __init__(self, encoding: Encoding, channel: Channel, payload: Array) -> None:
+        """Encode as frames.
+
+        Args:
+            encoding: of the frames.
+            channel: the links.
+            payload: (N, K) numbers of a law's own in the next messages; rounded as in the frames.
+        """
+        self._encoding, self._channel, self._payload = encoding, channel, payload
         self._read = allocate(MESSAGE, len(channel.names))
         self._frames: Frames = np.zeros((0, 0), np.uint8)  # of the last broadcast
         self.refused = self.discarded = self.undetected = 0
@@ -77,6 +102,10 @@ class Encoder:
             self._read[name][rows] = values
         stamp_s[rows] = read.stamp_s
         self._read["stamp_s"] = messages["stamp_s"]
+        if self._payload.shape[1]:
+            second = self._encoding.pack_payload(self._payload[rows], rows, numbers)
+            self._payload[rows] = self._encoding.unpack_payload(second)
+            self._frames = np.concatenate([self._frames, second], axis=1)
         return self._read
 
     def corrupt(self, packets: Records, rows: Numbers, numbers: Numbers) -> UndetectedErrors | None:
@@ -96,8 +125,15 @@ class Encoder:
             return None
         i, s, copy = at.T
         links = self._channel.links[i, rows[s]]
-        frames = flip_bits(self._frames[s], links["bits"], links["key"], numbers[s], copy)
-        read, sender, valid = self._encoding.unpack(frames)
+        whole = self._frames.shape[1]
+        first = whole - (self._encoding.payload_bytes if self._payload.shape[1] else 0)
+        # the leader has no law, and sends no second frame
+        lengths = np.where(rows[s] == 0, first, whole)
+        sent, chosen = self._frames[s], (links["bits"], links["key"], numbers[s], copy)
+        frames = flip_bits(sent, lengths, *chosen)
+        read, sender, valid = self._encoding.unpack(np.ascontiguousarray(frames[:, :first]))
+        # a packet is dropped with a damaged second frame; that its checksum may fit is left out
+        valid &= (frames[:, first:] == sent[:, first:]).all(axis=1)
         finite = np.isfinite(np.stack(read[1:], axis=1)).all(axis=(1, 2))
         plausible = finite & (sender == rows[s])
         used = valid & plausible
@@ -113,7 +149,12 @@ class Encoder:
 
 
 def flip_bits(
-    frames: Frames, bits: Numbers, keys: NDArray[np.uint64], numbers: Numbers, copies: Numbers
+    frames: Frames,
+    lengths: Numbers,
+    bits: Numbers,
+    keys: NDArray[np.uint64],
+    numbers: Numbers,
+    copies: Numbers,
 ) -> Frames:
     """Return frames with some bits flipped, at random places.
 
@@ -122,16 +163,17 @@ def flip_bits(
 
     Args:
         frames: (K, L)
-        bits: (K,) number of bits to flip, at most 8 L.
+        lengths: (K,) bytes of each frame, at most L.
+        bits: (K,) number of bits to flip, at most 8 lengths.
         keys: (K, 2) of the links.
         numbers: (K,) sequence numbers of the messages.
         copies: (K,) which copy of the message, 0 or 1.
     """
-    count, size = len(frames), 8 * frames.shape[1]
-    flipped = np.zeros((count, size), dtype=np.bool_)
+    count, sizes = len(frames), 8 * lengths
+    flipped = np.zeros((count, 8 * frames.shape[1]), dtype=np.bool_)
     for k in range(int(bits.max())):
         each = np.flatnonzero(bits > k)
-        last = size - bits[each] + k
+        last = sizes[each] - bits[each] + k
         word = philox(keys[each, 0], keys[each, 1], numbers[each], copies[each], BITS + k)[0]
         position = (unit(word) * (last + 1)).astype(np.int64)
         flipped[each, np.where(flipped[each, position], last, position)] = True

@@ -16,7 +16,7 @@ from testbed.core.records import (
     Array,
     BoolArray,
     Broadcast,
-    Inbox,
+    Messages,
     Records,
     VehicleState,
     allocate,
@@ -36,6 +36,7 @@ from testbed.network.packet_queue import (
     enqueue_broadcast,
     send_and_count,
 )
+from testbed.network.payload import Payloads
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +63,7 @@ class Radio:
         encoding: as frames of bytes; None: messages arrive with every digit.
         clocks: (N,) of CLOCK, which stamp messages; None: all are exact.
         links: (n, N) of LINK, of zeros, to be used; None: new ones.
+        payload: numbers of a law's own in each message.
 
     Attributes:
         links: (n, N) of LINK, the newest message received of each aircraft, and counters.
@@ -73,6 +75,7 @@ class Radio:
         sent_s: (N,) s, transmission times of the senders.
         messages: (N,) of MESSAGE, stamped with the true times of the content.
         deliver_call: delivers what has arrived; a newer message replaces an older.
+        payloads: numbers of a law's own in the messages.
     """
 
     def __init__(
@@ -82,20 +85,22 @@ class Radio:
         encoding: Encoding | None = None,
         clocks: Records | None = None,
         links: Records | None = None,
+        payload: int = 0,
     ) -> None:
         n, aircraft = channel.links.shape
+        self.payloads = Payloads(n, aircraft, payload)
         self._channel, self._losses = channel, losses or ExtraLosses()
         self.needs_all_positions = self._losses.fading is not None
         self._has_losses = losses is not None and losses != ExtraLosses()
-        self._encoder = Encoder(encoding, channel) if encoding else None
+        self._encoder = Encoder(encoding, channel, self.payloads.sent) if encoding else None
         self._links, self.statistics = initial_links(channel), initial_statistics(n, aircraft)
         self._transmitters = initial_transmitters(aircraft, clocks)
         self.packets = self._links["packet"]
         self.links = allocate(LINK, n, aircraft) if links is None else links
-        for name in (*Inbox._fields, "measured_s"):
+        for name in (*Messages._fields, "measured_s"):
             self.links[name] = np.nan
         self.links["number"] = NO_MESSAGE
-        self._inbox = fields_of(Inbox, self.links)
+        self._inbox = fields_of(Messages, self.links)
         self.messages, self.sent_s = allocate(MESSAGE, aircraft), np.zeros(aircraft)
         self.senders, self.muted = np.ones(aircraft, dtype=bool), np.zeros(aircraft, dtype=bool)
         self._departures_s = initial_departures(channel)
@@ -143,6 +148,10 @@ class Radio:
         if self._has_losses or self._encoder is not None:
             return None, lambda now: self._send_broadcast(truth)
         return self._send, lambda now: self._grow_queue()
+
+    def keep_payloads_call(self) -> Call:
+        """Return the call that keeps what the senders of a broadcast have sent besides."""
+        return self.payloads.keep_call(self.senders, self._transmitters)
 
     def match(self, other: Radio) -> None:
         """Have space for as many messages on their way as another radio of the same links."""
@@ -203,7 +212,7 @@ class Radio:
         if grow:
             self._grow_queue()
 
-    def deliver(self, now: float) -> Inbox:
+    def deliver(self, now: float) -> Messages:
         """Deliver what has arrived by `now`, s; a newer message replaces an older.
 
         Returns:

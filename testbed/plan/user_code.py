@@ -28,7 +28,7 @@ from testbed.core.code_digest import UnknownValueError, code_digest, names_in_ke
 from testbed.core.errors import InputError, raise_memory_shortage
 from testbed.core.input_files import read_bounded
 from testbed.core.reads import Deferred, current, unrecorded
-from testbed.core.records import Array, FbwaCommand, Inbox, UnicycleCommand, VehicleState
+from testbed.core.records import Array, FbwaCommand, Inbox, OwnState, UnicycleCommand
 from testbed.flight.control import law_file, law_name, user_code_errors, validate_command
 from testbed.formation.compiled_law import (
     ARGUMENTS,
@@ -39,6 +39,7 @@ from testbed.formation.compiled_law import (
 )
 from testbed.formation.control_step import Hbh23Law
 from testbed.formation.law import OLD_BOUNDS, FormationConfig, Law
+from testbed.formation.law_outputs import Outputs, outputs_of
 from testbed.scenario import Scenario, code_references, find_code, library, with_values
 from testbed.scenario.fields import KeyPath, is_number
 
@@ -123,6 +124,11 @@ def _use_named(
     if hbh23 is not None:
         used += hbh23.velocity_reads if "command_from_velocity" in names else ()
         used += hbh23.step_reads if "hbh23" in names else ()
+        if "hbh23" in names and hbh23.law["hold_stale_neighbours"].any():
+            raise InputError(
+                "controller.on_neighbour_timeout: hold-relative-position has no place in a kernel "
+                "that steps config.hbh23 (write drop, or the law as a class)"
+            )
         for name in ("speed_min", "speed_max"):
             if name in names and not config.bounds_ground_speed:
                 raise InputError(f"controller.law: config.{name} {OLD_BOUNDS}")
@@ -377,7 +383,7 @@ STEPS = 4
 MISSING_SHARES = (0.0, 0.3)  # of messages that are missing, and of those that are old
 SPEED_FACTOR = 2.0  # of the speed bounds, beyond which a commanded speed has another unit
 Command = UnicycleCommand | FbwaCommand[Array]
-Step = tuple[float, VehicleState, Inbox]
+Step = tuple[float, OwnState, Inbox]
 
 
 def check_law(law: Law, config: FormationConfig) -> type[Command]:
@@ -395,6 +401,7 @@ def _check_rules(law: Law, config: FormationConfig) -> type[Command]:
     before = _attributes(law)
     for share in MISSING_SHARES:
         flight = [_make_step(config, rng, share, k * config.dt) for k in range(STEPS)]
+        flight = _with_payloads(law, config, flight)
         commands = _fly(law, config, flight)
         if not _same(commands, _fly(law, config, flight)):
             _reject(
@@ -417,6 +424,7 @@ def _check_values(law: Law, config: FormationConfig) -> None:
     """Check units and axes of commands in level flight in the slots at the trim airspeed."""
     rng = np.random.default_rng(SEED)
     calm = [_make_step(config, rng, 0.0, k * config.dt, noise=0.0) for k in range(STEPS)]
+    calm = _with_payloads(law, config, calm)
     commands = _fly(law, config, calm)
     unicycle = [each for each in commands if isinstance(each, UnicycleCommand)]
     for name in ("speed", "speed_desired") if unicycle else ():
@@ -461,7 +469,7 @@ def _check_interleaved(
     """Check that a flight is the same while another one is stepped at the same times."""
     other = []
     for now, own, inbox in flight:
-        moved = VehicleState(*(each * (1.0 + 0.1 * rng.random(each.shape)) for each in own))
+        moved = OwnState(*(each * (1.0 + 0.1 * rng.random(each.shape)) for each in own))
         other.append((now, moved, inbox))
     memories = [law.start(_read_only(each[0][1])) for each in (other, flight)]
     for one, two, expected in zip(other, flight, commands, strict=True):
@@ -514,6 +522,8 @@ def _fly(law: Law, config: FormationConfig, flight: list[Step]) -> list[Command]
             modified = _pickled(memory) != _pickled(before)
             again = law.step(now, _read_only(own), _read_only(inbox), before)[0]
             command = validate_command(command, config, now)
+            if (outputs := outputs_of(law)).fields:
+                _read_outputs(law, outputs, after, len(config.names))
         if modified or not _same([command], [validate_command(again, config, now)]):
             _reject(
                 law,
@@ -563,9 +573,9 @@ def _check_locality(
     """Check that a follower's command does not depend on the inputs of the others."""
     changed = []
     for now, own, inbox in flight:
-        other_own = VehicleState(*(_perturb_others(each, rng, row) for each in own))
+        other_own = OwnState(*(_perturb_others(each, rng, row) for each in own))
         content = (_perturb_others(each, rng, row) for each in inbox[2:])
-        changed.append((now, other_own, Inbox(inbox.stamp_s, inbox.received_s, *content)))
+        changed.append((now, other_own, Inbox._make((*inbox[:2], *content))))
     others = [name for name in config.names if name != config.names[row]]
     for before, after in zip(commands, _fly(law, config, changed), strict=True):
         for field, one, two in zip(before._fields, _arrays(before), _arrays(after), strict=True):
@@ -577,9 +587,10 @@ def _check_locality(
                 )
 
 
-def _perturb_others(values: Array, rng: np.random.Generator, row: int) -> Array:
-    """Return a copy with all rows but one increased by up to 10 %."""
-    out = values * (1.0 + 0.1 * rng.random(values.shape))
+def _perturb_others(values: Any, rng: np.random.Generator, row: int) -> Any:  # noqa: ANN401
+    """Return a copy with all rows but one increased by up to 10 %; flags are the others."""
+    factor = 1.0 + 0.1 * rng.random(values.shape)
+    out = ~values if values.dtype == np.bool_ else values * factor
     out[row] = values[row]
     return out
 
@@ -598,7 +609,7 @@ def _make_step(
     rates = noise * rng.normal(0.0, 0.1, (aircraft, 3))
     rows = config.agents
     airspeed = np.linalg.norm(velocity, axis=1)
-    own = VehicleState(
+    own = OwnState(
         position[rows],
         velocity[rows],
         acceleration[rows],
@@ -606,6 +617,7 @@ def _make_step(
         rates[rows],
         airspeed[rows],
         airspeed[rows],
+        np.zeros((n, 3)),
     )
     # some messages are missing, and some are older than the time-out
     old = rng.random((n, aircraft)) < share
@@ -616,7 +628,42 @@ def _make_step(
     missing = np.isnan(stamp)[:, :, np.newaxis]
     content = (position, velocity, acceleration, euler, rates)
     received = (np.where(missing, np.nan, np.stack([each] * n)) for each in content)
-    return now, own, Inbox(stamp, stamp.copy(), *received)
+    turn_rate = (velocity[:, 0] * acceleration[:, 1] - velocity[:, 1] * acceleration[:, 0]) / (
+        velocity[:, 0] ** 2 + velocity[:, 1] ** 2
+    )
+    turns = np.where(missing[..., 0], np.nan, turn_rate)
+    chosen = np.random.default_rng((SEED, round(now / config.dt))).random((n, aircraft)) < share
+    failed = ~missing[..., 0] & chosen
+    added = turns, failed, np.zeros((n, aircraft, 0))
+    return now, own, Inbox._make((stamp, stamp.copy(), *received, *added))
+
+
+def _with_payloads(law: Law, config: FormationConfig, flight: list[Step]) -> list[Step]:
+    """Return a flight in which messages carry what the law has sent in the step before."""
+    outputs, found = outputs_of(law), list[Step]()
+    if not outputs.sent:
+        return flight
+    memory, own_columns = law.start(_read_only(flight[0][1])), outputs.columns(outputs.sent)
+    sent = np.full((flight[0][2].stamp_s.shape[1], len(own_columns)), np.nan)
+    for now, own, inbox in flight:
+        missing = np.isnan(inbox.stamp_s)[..., np.newaxis]
+        inbox = inbox._replace(payload=np.where(missing, np.nan, sent))
+        found.append((now, own, inbox))
+        result: Any = law.step(now, _read_only(own), _read_only(inbox), memory)
+        if not (isinstance(result, tuple) and len(result) == 2):
+            return flight  # refused by another check
+        memory = result[1]
+        read = _read_outputs(law, outputs, memory, len(config.names))
+        sent[config.agents] = read[:, own_columns]
+    return found
+
+
+def _read_outputs(law: Law, outputs: Outputs, memory: object, n: int) -> Array:
+    """Return the outputs (n, F) of a law."""
+    try:
+        return outputs.read(memory, n)
+    except ValueError as error:
+        _reject(law, f"has outputs, but {error}")
 
 
 def _read_only(record: Any) -> Any:  # noqa: ANN401 - a record of arrays

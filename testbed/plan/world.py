@@ -30,8 +30,10 @@ from testbed.core.samples import LastSample
 from testbed.core.start_time import start_unix_ns
 from testbed.core.version import __version__
 from testbed.flight.arduplane_vehicles import ArduPlaneVehicles
-from testbed.flight.control import Control
+from testbed.flight.control import Control, LawSurroundings
 from testbed.flight.faults import FaultManager, no_faults
+from testbed.flight.law_inputs import declared_faults, wind_estimates
+from testbed.flight.law_reports import LawReports
 from testbed.flight.limits import ProximityMonitor
 from testbed.flight.loop import Flight
 from testbed.flight.schedule import Clock, make_clock
@@ -53,7 +55,7 @@ from testbed.plan.faults import build_faults, build_membership, fault_warnings
 from testbed.plan.fleet import Fleet, FormationPlan, resolve, resolve_single
 from testbed.plan.leader import build_leader
 from testbed.plan.limits import build_envelope_monitor, build_proximity, separation_warnings
-from testbed.plan.radio import build_radio, received_weights, transmit_times
+from testbed.plan.radio import build_radio, check_payload, received_weights, transmit_times
 from testbed.plan.resources import check_memory
 from testbed.plan.user_code import with_stored_code
 from testbed.plan.vehicles import (
@@ -216,9 +218,11 @@ def _build(
     )
     jsbsim, on_failure = vehicles.jsbsim, scenario.formation.on_failure
     control = build_control(fleet, scenario.controller, clock)
-    radio, outages = build_radio(
-        names, scenario.network, received_weights(fleet, scenario.network), origin, seed, links
-    )
+    outputs, weights = control.outputs, received_weights(fleet, scenario.network)
+    sent = outputs.sent_numbers
+    if sent:
+        check_payload(names, scenario.network, rates.broadcast_hz)
+    radio, outages = build_radio(names, scenario.network, weights, origin, seed, links, sent)
     faults = build_faults(fleet, vehicles.fleet, on_failure)
     external, array = None, None
     for each in fleet.aircraft:
@@ -235,9 +239,7 @@ def _build(
         if not air.steady:
             other_air = _build_air(scenario, fleet, mean_wind, height, clock, other)
             other_air.bind(aircraft.copy())
-        other_radio, _ = build_radio(
-            names, scenario.network, received_weights(fleet, scenario.network), origin, other
-        )
+        other_radio, _ = build_radio(names, scenario.network, weights, origin, other, payload=sent)
         return other_air, _build_estimators(scenario, other, faults), other_radio
 
     companions = build_companions(scenario.controller.companion, clock, aircraft)
@@ -281,6 +283,12 @@ def _build(
                 fleet.offsets,
                 build_membership(fleet, on_failure, scenario.controller.law, faults),
                 (aircraft, followers, radio.links),
+                LawSurroundings(
+                    wind_estimates(estimators, aircraft),
+                    declared_faults(faults),
+                    radio.payloads.received,
+                    LawReports(names[1:], outputs, radio.payloads.sent),
+                ),
                 companions,
                 extrapolates=control.extrapolates,
             ),
@@ -516,6 +524,7 @@ def _formation_info(
         roll_limit_rad=tuple(control.config.roll_limit.tolist()),
         barriers=control.barriers,
         barrier_samples=control.barrier_samples,
+        law_numbers=control.outputs.logged_names,
         start_unix_ns=start_unix_ns(scenario.log.start_time) if scenario.log.start_time else 0,
         leader_path_ned=leader.path_ned,
     )

@@ -79,6 +79,13 @@ class StateEstimators:
             self._jitter = jitter, add_jitter_to_all, args
         self.exact = not modelled and jitter is None
 
+    @property
+    def filters(self) -> tuple[Records, Array] | tuple[None, None]:
+        """Navigation filters (M,) of FILTER, and the rows (M,) of their aircraft; None: none."""
+        if self._sensors is None:
+            return None, None
+        return self._filters[1], self._filters[0]["row"]
+
     def warm_up(self, aircraft: Records) -> None:
         """Fly straight up to the present truth until the filters have settled, without faults.
 

@@ -22,7 +22,7 @@ from reference.formation_leader_filter import Memory, no_messages
 from reference.formation_message_extrapolation import corrected, kept, places, times
 from reference.frames import velocity_frame
 from testbed.core.frames import course, flight_path_angle
-from testbed.core.records import Array, BoolArray, Inbox, UnicycleCommand, VehicleState
+from testbed.core.records import Array, BoolArray, Messages, UnicycleCommand, VehicleState
 from testbed.formation.barrier import SpeedBarrier
 from testbed.formation.control_function import ControlFunction
 from testbed.formation.law import LimiterFlag
@@ -76,14 +76,14 @@ class Hbh23Law:
         return no_messages(*self.gains.shape[:2])
 
     def step(
-        self, now: float, own: VehicleState, inbox: Inbox, memory: Memory
+        self, now: float, own: VehicleState, inbox: Messages, memory: Memory
     ) -> tuple[UnicycleCommand, Memory]:
         """One control step of every follower; see `law.Law`."""
         return hbh23_step(self, now, own, inbox, memory)
 
 
 def hbh23_step(
-    law: Hbh23Law, now: float, own: VehicleState, inbox: Inbox, memory: Memory
+    law: Hbh23Law, now: float, own: VehicleState, inbox: Messages, memory: Memory
 ) -> tuple[UnicycleCommand, Memory]:
     """Step all followers.
 
@@ -194,7 +194,7 @@ def hbh23_step(
 
 
 def _leader_acceleration(
-    law: Hbh23Law, inbox: Inbox, no_leader: BoolArray, frame: Array, level: Array, memory: Memory
+    law: Hbh23Law, inbox: Messages, no_leader: BoolArray, frame: Array, level: Array, memory: Memory
 ) -> tuple[Array, Memory]:
     """q̈_g (n, 3) m/s² by each agent's own choice, and the memory for the next step."""
     received = np.expand_dims(~no_leader, 1)

@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from reference.formation_arrays import cross, rotate
-from testbed.core.records import Array, BoolArray, Inbox
+from testbed.core.records import Array, BoolArray, Messages
 
 
-def times(inbox: Inbox, from_timestamp: bool) -> Array:
+def times(inbox: Messages, from_timestamp: bool) -> Array:
     """What the law takes for the times (n, N) s of its messages: their stamps or their receipt."""
     return inbox.stamp_s if from_timestamp else inbox.received_s
 
 
 def corrected(
-    inbox: Inbox, now: float, from_timestamp: bool, with_acceleration: BoolArray
+    inbox: Messages, now: float, from_timestamp: bool, with_acceleration: BoolArray
 ) -> tuple[Array, Array]:
     """Positions and velocities (n, N, 3) of the others at the time `now` (s).
 

@@ -16,7 +16,7 @@ from reference.formation_middle_loop import (
     MiddleLoopMemory,
 )
 
-from testbed.core.records import Inbox, UnicycleCommand, VehicleState
+from testbed.core.records import Messages, UnicycleCommand, VehicleState
 from testbed.formation import control_function
 from testbed.formation import leader_filter as leader
 from testbed.formation.barrier import SpeedBarrier
@@ -162,7 +162,7 @@ def states(n, rng, *, low=LOW - 4.0, high=HIGH + 4.0, never=0.0, old=0.0, now=NO
         rng.uniform(-0.8, 0.8, (*shape, 3)),
         rng.normal(0.0, 0.2, (*shape, 3)),
     )
-    inbox = Inbox(
+    inbox = Messages(
         stamp,
         stamp + rng.uniform(0.0, 0.1, shape),
         *(np.where(quiet[..., None], np.nan, each) for each in vectors),
@@ -266,7 +266,7 @@ def reorder(law, own, inbox, memory, order):
     all_rows = np.concatenate([[0], np.asarray(order) + 1])
     law = choose(law, order, keep=("offsets", "agents"))
     law = replace(law, offsets=law.offsets[all_rows], gains=_columns(law.gains, all_rows))
-    inbox = Inbox(*(_columns(each, all_rows) for each in choose(inbox, order)))
+    inbox = Messages(*(_columns(each, all_rows) for each in choose(inbox, order)))
     memory = choose(memory, order)
     memory = memory._replace(
         held_position=_columns(memory.held_position, all_rows),

@@ -94,7 +94,7 @@ def test_help_describes_methods_and_properties(kind):
         (records.FaultState, records.FAULTS),
         (records.Broadcast, records.MESSAGE),
         (records.FormationState, records.FOLLOWER),
-        (records.Inbox, records.LINK),
+        (records.Messages, records.LINK),
     ],
 )
 def test_documented_shapes_are_those_of_records(kind, dtype):

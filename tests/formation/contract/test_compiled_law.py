@@ -16,8 +16,9 @@ import testbed
 from testbed.core.code_digest import UnknownValueError, code_digest
 from testbed.core.compile import cache_folder
 from testbed.core.errors import FlightError, InputError
-from testbed.core.records import AIRCRAFT, LINK, Inbox, NedOrigin, VehicleState, allocate
-from testbed.formation.compiled_law import CompiledLaw, give_inputs
+from testbed.core.records import AIRCRAFT, LINK, Messages, NedOrigin, allocate
+from testbed.flight.law_inputs import declared_faults, give_inputs, wind_estimates
+from testbed.formation.compiled_law import CompiledLaw, allocate_inputs
 from testbed.formation.control_step import CONTROLLER, Hbh23Law
 from testbed.formation.hbh23 import NEIGHBOUR
 from testbed.logs.read import read_log
@@ -238,22 +239,30 @@ def test_excluded_sender_gives_no_number(extrapolates):
     n, aircraft = 2, 3
     states, links = allocate(AIRCRAFT, aircraft), allocate(LINK, n, aircraft)
     neighbours = allocate(NEIGHBOUR, n, aircraft)
-    for name in Inbox._fields:
+    for name in Messages._fields:
         links[name] = np.arange(1.0, 1.0 + links[name].size).reshape(links[name].shape)
-    expected, now = {name: links[name].copy() for name in Inbox._fields}, 20.0
+    expected, now = {name: links[name].copy() for name in Messages._fields}, 20.0
     if extrapolates:
         dt = now - links["received_s"][..., np.newaxis]
         expected["position_ned"] += dt * links["velocity_ned"]
         expected["stamp_s"][:] = expected["received_s"][:] = now
     neighbours["excluded"][1, 2], neighbours["timeout_s"] = True, np.inf
     controllers = allocate(CONTROLLER, n)
-    own = VehicleState(*np.zeros((5, n, 3)), *np.zeros((2, n)))
-    inbox = Inbox(*np.zeros((2, n, aircraft)), *np.zeros((5, n, aircraft, 3)))
+    own, inbox = allocate_inputs(n, aircraft, 2)
+    payloads = np.arange(2.0 * n * aircraft).reshape(n, aircraft, 2)
+    v, a = expected["velocity_ned"], expected["acceleration_ned"]
+    expected["payload"], expected["turn_rate"] = (
+        payloads,
+        np.cross(v, a)[..., 2] / (v[..., 0] ** 2 + v[..., 1] ** 2),
+    )
     known = np.arange(n), states, links, neighbours, controllers
-    give_inputs(*known, extrapolates, own, inbox, now)
+    around = wind_estimates(None, states), declared_faults(None), payloads
+    give_inputs(*known, *around, extrapolates, own, inbox, now)
+    assert not inbox.failed.any()
     received = np.ones((n, aircraft), dtype=bool)
     received[1, 2] = False
-    for name, values in inbox._asdict().items():
+    for name in expected:
+        values = getattr(inbox, name)
         assert np.isnan(values[1, 2]).all(), name
         assert np.array_equal(values[received], expected[name][received]), name
 
@@ -292,7 +301,7 @@ NOT_COMPILED = [
     ("inbox.stamp_s[0] = 1.0", "Cannot modify readonly array"),
     ("config.offsets[0, 0] = 1.0", "Cannot modify readonly array"),
     ("CONSTANTS[0] = 1.0", "Cannot modify readonly array"),
-    ("own.airspeed = 1.0", "VehicleState.airspeed"),
+    ("own.airspeed = 1.0", "OwnState.airspeed"),
     ("if now > 1.0:\n        return now", "Can't unify return type from the following types"),
     ("return 1.0", "the law returns float64 (return a UnicycleCommand or an FbwaCommand)"),
     ("return FbwaCommand(now, 0.0)", "missing a required argument: 'throttle'"),
@@ -338,10 +347,10 @@ WRONG = [
     (case("return FbwaCommand(0.0, 30.0, 0.4)"), "mine returns a roll of 30 (angles are in rad)"),
     (case("roll = np.random.random()"), "store state nowhere else"),
     (
-        case("config.hbh23[0].k = 1e9"),
+        case("config.hbh23.gains[0].k = 1e9"),
         "mine writes into its inputs (assignment destination is read",
     ),
-    (case("config.hbh23[0].acceleration_blend[1] = 0.5"), "mine writes into its inputs"),
+    (case("config.hbh23.gains[0].acceleration_blend[1] = 0.5"), "mine writes into its inputs"),
     (
         case("memory.steps += 1\n    if memory.steps > 3:\n        raise ValueError('four steps')"),
         "LINE: the law raised ValueError: four steps",
@@ -415,7 +424,9 @@ FAILING = [
         "LINE: the law raised ValueError: lost",
     ),
     (
-        case("if now > 1.0 and config.agents == 2:\n        config.hbh23[0].speed_max = 17.0"),
+        case(
+            "if now > 1.0 and config.agents == 2:\n        config.hbh23.gains[0].speed_max = 17.0"
+        ),
         "LINE: the law raised ValueError: assignment destination is read-only",
     ),
 ]

@@ -14,7 +14,7 @@ from snapshot import check_snapshot
 
 import testbed
 from testbed.core.errors import InputError
-from testbed.core.records import Inbox, VehicleState
+from testbed.core.records import Inbox, OwnState, VehicleState
 from testbed.formation.barrier import SpeedBarrier, barrier_curve, logged_barriers, logged_curve
 from testbed.formation.control_step import Hbh23Law
 from testbed.golden.compare_runs import compare_runs
@@ -407,8 +407,9 @@ def encounter(positions, now=10.0):
     stamp = np.full((3, 4), now - 0.1)
     content = [np.tile(each, (3, 1, 1)) for each in (velocity, zeros, zeros, zeros)]
     position = np.tile(truth.position_ned - 0.1 * velocity, (3, 1, 1))
-    inbox = Inbox(stamp, stamp.copy(), position, *content)
-    return now, VehicleState(*(each[1:] for each in truth)), inbox
+    more = np.zeros((3, 4)), np.zeros((3, 4), dtype=bool), np.zeros((3, 4, 0))
+    inbox = Inbox(stamp, stamp.copy(), position, *content, *more)
+    return now, OwnState(*(each[1:] for each in truth), np.zeros((3, 3))), inbox
 
 
 def repulsion():

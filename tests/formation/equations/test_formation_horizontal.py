@@ -17,7 +17,7 @@ from formation_cases import (
 )
 from reference.frames import velocity_frame
 
-from testbed.core.records import Inbox
+from testbed.core.records import Messages
 from testbed.formation import leader_filter as leading
 
 SOURCES = {"nothing": leading.NOTHING, "broadcast": leading.BROADCAST, "turn": leading.TURN}
@@ -144,7 +144,7 @@ def test_slot_beside_a_helix_is_a_level_circle(source, gamma):
     now = np.full((2, 3), NOW)
     # a bank at which the coordinated turn by its bank is this turn
     bank = np.arctan(turn * level / leading.PAPER_GRAVITY)
-    inbox = Inbox(
+    inbox = Messages(
         now,
         now,
         *(

@@ -16,7 +16,7 @@ from reference.formation_leader_filter import Memory, course_acceleration, no_me
 from reference.formation_message_extrapolation import times
 
 from testbed.core.frames import PAPER_GRAVITY
-from testbed.core.records import Inbox
+from testbed.core.records import Messages
 from testbed.formation import leader_filter as leading
 from testbed.formation.barrier import SpeedBarrier
 
@@ -28,7 +28,7 @@ EACH_SOURCE = [leading.NOTHING, leading.BROADCAST, leading.TURN]
 
 def one_message():
     # sent at 99.7, received at 99.9: used at 100 it is 0.1 s or 0.3 s old
-    return Inbox(
+    return Messages(
         np.array([[99.7]]),
         np.array([[99.9]]),
         np.array([[[5.0, 1.0, -100.0]]]),
@@ -65,7 +65,7 @@ def test_parabola_is_followed_exactly_where_chosen():
     start, velocity, acceleration = rng.normal(0.0, 5.0, (3, 3))
     age = np.array([[0.4], [0.4]])
     then = NOW - age
-    inbox = Inbox(
+    inbox = Messages(
         then,
         then,
         np.tile(start, (2, 1, 1)),
@@ -291,7 +291,7 @@ def test_a_leader_that_rolls_in_is_anticipated():
     own, inbox, memory = states(2, rng)
     north = np.tile([22.0, 0.0, 0.0], (3, 1))
     now = np.full((2, 3), NOW)
-    inbox = Inbox(
+    inbox = Messages(
         now,
         now,
         np.stack([offsets] * 2),

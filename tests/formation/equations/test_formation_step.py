@@ -29,7 +29,7 @@ from reference.adapters import law_records, neighbour_records
 from reference.formation_leader_filter import Memory
 
 from testbed.core.frames import wrap_pi
-from testbed.core.records import Inbox
+from testbed.core.records import Messages
 from testbed.formation import leader_filter as leading
 from testbed.formation.barrier import SpeedBarrier
 from testbed.formation.control_function import EXAMPLE_2, EXAMPLE_3, example_1
@@ -216,7 +216,7 @@ def test_follower_in_its_slot_commands_a_steady_helix(source, gamma):
     attitude = np.tile([bank, gamma, sigma], (n, n + 1, 1))
     rates = np.tile(omega, (n, n + 1, 1))
     received = (np.stack([each] * n) for each in (position, velocity, acceleration))
-    inbox = Inbox(now, now, *received, attitude, rates)
+    inbox = Messages(now, now, *received, attitude, rates)
     output, after = step(law, NOW, own, inbox, law.start(own))
 
     gamma = np.arcsin(-velocity[1:, 2] / speed)

@@ -20,7 +20,7 @@ from formation_cases import (
 from reference.formation_message_extrapolation import times
 from reference.frames import velocity_frame
 
-from testbed.core.records import Inbox
+from testbed.core.records import Messages
 from testbed.formation import leader_filter as leading
 from testbed.formation.law import LimiterFlag
 
@@ -30,7 +30,7 @@ each_way = pytest.mark.parametrize("way", [NEVER, LONG_AGO])
 
 def drop_messages(inbox, links, way):
     """Return an inbox without messages on these links: none ever, or none for 30 s."""
-    dropped_inbox = Inbox(*(each.copy() for each in inbox))
+    dropped_inbox = Messages(*(each.copy() for each in inbox))
     if way == NEVER:
         for each in dropped_inbox:
             each[links] = np.nan
@@ -215,7 +215,7 @@ def test_a_leader_that_is_mute_for_two_seconds():
         now = 0.04 * k
         stamps = np.full((n, n + 1), now)
         stamps[:, 0] = 0.04 * (24 if 25 <= k < 75 else k)
-        inbox = Inbox(
+        inbox = Messages(
             stamps, stamps, stamps[:, :, None] * velocity, velocity, *np.zeros((3, n, n + 1, 3))
         )
         inputs, memory = step(law, now, own, inbox, memory)
@@ -384,7 +384,7 @@ def test_held_neighbour_moves_as_a_slot(way):
         frame = velocity_frame(np.column_stack([ahead, -np.sin(up)]))
         return (frame @ memory.held_position[:, 2, :, None])[:, :, 0]
 
-    in_place = Inbox(*(each.copy() for each in inbox))
+    in_place = Messages(*(each.copy() for each in inbox))
     in_place.position_ned[:, 2] = inbox.position_ned[:, 0] + chi(0.0)
     in_place.velocity_ned[:, 2] = velocity + (chi(1e-4) - chi(-1e-4)) / 2e-4
     held, _ = step(law, NOW, own, drop_messages(inbox, np.s_[:, 2], way), memory)

@@ -15,7 +15,7 @@ from reference.adapters import slot_motions as slots
 from reference.frames import velocity_frame
 from reference.unicycle import unicycle
 
-from testbed.core.records import Inbox, VehicleState
+from testbed.core.records import Messages, VehicleState
 from testbed.formation import leader_filter as leading
 from testbed.formation.control_step import Hbh23Law
 from testbed.plan.control import build_control
@@ -85,7 +85,7 @@ def simulate(law, mute=MUTE, then_gain=None, until=END):
                 each[1:, 1] = old[1:, 1]
         acceleration = np.zeros((3, 4, 3))
         acceleration[:, 0] = acceleration_now
-        inbox = Inbox(when, when, *messages, acceleration, np.zeros((3, 4, 3)), rates)
+        inbox = Messages(when, when, *messages, acceleration, np.zeros((3, 4, 3)), rates)
         memory = memories[-1] if memories else law.start(own)
         if then_gain is not None and now - sent_s > LIMIT:
             law.neighbours["gain"][1, 1] = then_gain

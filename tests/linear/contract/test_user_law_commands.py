@@ -52,3 +52,31 @@ def test_class_is_refused_with_what_a_kernel_needs(tmp_path):
     assert "a law that is a Python class has a memory that is not known" in done.stderr
     assert "under @testbed.kernel that steps one follower, with its memory declared" in done.stderr
     assert "--method flown" in done.stderr
+
+
+def test_law_that_others_inform_is_refused(tmp_path):
+    """Its messages carry numbers that the linear model does not have; flights measure it."""
+    words = ("margins", EXAMPLES / "relayed-leader.yaml", "--bank", "0", "--set")
+    perfect = "network.links={leader: {uav3: {loss: 0}}}"
+    done = call_command(*words, perfect, cwd=tmp_path, code=2, columns=400)
+    assert "the law reads numbers that the laws of others send" in done.stderr
+    assert "--method flown" in done.stderr
+
+
+def test_wrapped_built_in_law_has_its_margins(tmp_path):
+    """An integral with a rate of zero changes nothing: the margins are those of the built-in law.
+
+    The memory of the built-in law is then a state of the kernel.
+    """
+    found = []
+    for scenario, more in (
+        ("simulation-3", ()),
+        (EXAMPLES / "integral-kernel.yaml", ("--set", "controller.options.rate_per_s=0")),
+    ):
+        words = ("margins", scenario, "--bank", "0", "--jobs", "1", "--json", "m.json", *more)
+        call_command(*words, cwd=tmp_path, code=0, columns=80)
+        [straight] = json.loads((tmp_path / "m.json").read_text("utf-8"))["predicted"]
+        assert not straight["problem"]
+        commands = [each["commands"] for each in straight["followers"]]
+        found.append([one[c][k] for one in commands for c in one for k in ("gain", "latency_s")])
+    assert found[0] == pytest.approx(found[1], rel=1e-4)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from places import ROOT
 
-from testbed.core.records import Broadcast, Inbox
+from testbed.core.records import Broadcast, Messages
 from testbed.network.channel import make_channel
 from testbed.network.clocks import make_clocks
 from testbed.network.link_statistics import bin_ends, bin_of
@@ -209,7 +209,7 @@ def test_clock_errors_change_stamps_only():
     drifted = 0.5 + 200.07e-4
     error = np.array([[drifted + 0.25, 0.0, -0.07 + 0.25], [drifted, -0.25, -0.07]])
     assert ours.stamp_s - theirs.stamp_s == pytest.approx(error, abs=1e-12)
-    for name in Inbox._fields[1:]:
+    for name in Messages._fields[1:]:
         assert np.array_equal(getattr(ours, name), getattr(theirs, name)), name
     assert np.array_equal(wrong.links["measured_s"], right.links["measured_s"])
 

@@ -35,6 +35,7 @@ PAGES = (
         for path in (ROOT / folder).rglob("*.md")
     ),
 )
+CONDITIONAL = "network", "estimate", "estimated_error", "law"  # topics of some logs only
 # Pages whose snippets fly, draw or step for long; tests of their commands cover much of the same.
 LONG = (
     "docs/aircraft.md",
@@ -236,7 +237,7 @@ def test_log_topics_named_in_docs_exist(simulation_3):
     text = (ROOT / "docs/run.md").read_text(encoding="utf-8")
     named = set(re.findall(r"`(/(?:<name>/)?\w+)`", text))
     assert len(named) >= 5
-    conditional = {"/events", "/<name>/network", "/<name>/estimate", "/<name>/estimated_error"}
+    conditional = {"/events", *(f"/<name>/{each}" for each in CONDITIONAL)}
     for topic in named - conditional:
         assert topic.replace("<name>", "uav1").encode() in log, topic
 
