@@ -67,7 +67,7 @@ PANELS: Final[Mapping[str, Mapping[str, str]]] = {
     "CI": {"check": "check"},
 }
 # Commands that are groups of others: "new" of "new aircraft", of the same module.
-_GROUPS: Final[Mapping[str, tuple[str, ...]]] = {"new": ("new aircraft",)}
+_GROUPS: Final[Mapping[str, tuple[str, ...]]] = {"new": ("new aircraft", "new law", "new study")}
 _MODULES: Final = {
     name: f"testbed.cli.{module}"
     for panel in PANELS.values()

@@ -1,9 +1,12 @@
-"""The commands that make files of a user's own: new aircraft."""
+"""The commands that make files of a user's own: an aircraft, a law, a study."""
 
 from __future__ import annotations
 
+import keyword
 import math
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
+from json import dumps as json_text
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -18,7 +21,9 @@ from testbed.cli.output import (
     write_json_output,
 )
 from testbed.core.errors import InputError
-from testbed.core.files import new_folder, report_write_errors
+from testbed.core.files import create_file, new_folder, report_write_errors, write_text_file
+from testbed.scenario import load_scenario
+from testbed.scenario.control import BUILT_IN
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -28,6 +33,7 @@ if TYPE_CHECKING:
     from testbed.vehicle.trim import TrimResult
 
 PICTURE = "envelope.png"
+_TEMPLATES = Path(__file__).parent / "new_files"
 SPEEDS = (1.0, 340.0)  # m/s, as of a scenario
 
 
@@ -45,7 +51,104 @@ def _check_speed(parameter: typer.CallbackParam, speed: float | None) -> float |
 
 
 def new_command() -> None:
-    """Make files of your own: an aircraft from its JSBSim file."""
+    """Make files of your own: an aircraft from its JSBSim file, a law, a study."""
+
+
+def new_law_command(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the law, as of a function.")],
+    into: Annotated[
+        Path | None, value_option("FOLDER", "Folder to make.  \\[default: the law's name, here]")
+    ] = None,
+) -> None:
+    """Make a law of your own that flies: a kernel, a scenario, a study and a notebook.
+
+    The kernel is a leader-follower law of 20 lines, to be changed. The scenario flies it on
+    Simulation 3, the study compares it with the paper's law over 20 seeds, and the notebook goes
+    from the flight to a figure and margins.
+    """
+    check_law_name(name)
+    target = Path(name) if into is None else into
+    texts = {
+        f"{name}.py": "law.py",
+        f"{name}.yaml": "law.yaml",
+        f"{name}-study.yaml": "law-study.yaml",
+        f"{name}.ipynb": "law.ipynb",
+    }
+    with report_write_errors(f"--into {target}" if into else target), new_folder(target) as folder:
+        folder.mkdir()
+        for file, template in texts.items():
+            with write_text_file(folder / file) as written:
+                written.write(filled_template(template, {"NAME": name}))
+    console = result_console(None)
+    console.write_line(f" written: {', '.join(str(target / file) for file in texts)}")
+    console.write_line(f" next: testbed validate {target / name}.yaml")
+    console.write_line(f"       testbed run {target / name}.yaml")
+    console.write_line(f"       testbed sweep {target / name}-study.yaml")
+
+
+def filled_template(name: str, words: Mapping[str, str]) -> str:
+    """Return the text of a file that is made for users.
+
+    Args:
+        name: of the template; its file has one more suffix, so that no tool takes it for code.
+        words: in capitals, with what stands in their places.
+    """
+    text = (_TEMPLATES / f"{name}.txt").read_text("utf-8")
+    pattern = r"\b(" + "|".join(words) + r")(?=\b|_)"
+    return re.sub(pattern, lambda found: words[found[1]], text)
+
+
+def check_law_name(name: str) -> None:
+    """Check the name of a new law, which is that of its function and its module.
+
+    Raises:
+        InputError: it is no such name, or that of the built-in law.
+    """
+    if not (name.isascii() and name.isidentifier()) or keyword.iskeyword(name) or len(name) > 60:
+        raise InputError(
+            f"the name {name[:40]!r} is no name of a function (write letters, digits and _)"
+        )
+    if name in (BUILT_IN, "testbed", "np", "length", "command_from_velocity"):
+        raise InputError(f"the name {name!r} is taken (write another)")
+
+
+def new_study_command(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the study and its file.")],
+    scenario: Annotated[
+        str, value_option("SCENARIO", "The scenario that it flies, a name or a path.")
+    ] = "simulation-3",
+) -> None:
+    """Make a study of a scenario: lost messages and wind, with five seeds, to be changed.
+
+    Its numbers are the mean RMS error in the scenario's first window and the smallest separation.
+    """
+    from pydantic import TypeAdapter, ValidationError
+
+    from testbed.scenario.fields import Name
+
+    try:
+        TypeAdapter(Name).validate_python(name)
+    except ValidationError:
+        raise InputError(
+            f"the name {name[:40]!r}: write letters, digits and _ . - behind a letter or digit"
+        ) from None
+    target = Path(f"{name}.yaml")
+    flown = load_scenario(scenario)
+    section, follower = flown.scenario, flown.aircraft_names[1]
+    window = next(iter(section.windows), None)
+    words = {
+        "NAME": name,
+        "SCENARIO": scenario if re.fullmatch(r"[\w./-]+", scenario) else json_text(scenario),
+        "DURATION": f"{section.windows[window][1] if window else section.duration_s:g}",
+        "METRIC": f"windows.{window}.mean_rms_m" if window else f"max_error_m.{follower}",
+    }
+    text = filled_template("study.yaml", words).encode()
+    with report_write_errors(target):
+        try:
+            create_file(target, text)
+        except FileExistsError:
+            raise InputError(f"{target} exists: remove it or write another name") from None
+    result_console(None).write_line(f" written: {target}; next: testbed sweep {target}")
 
 
 def new_aircraft_command(
@@ -204,6 +307,8 @@ def describe_engine(reasons: Sequence[str]) -> list[str]:
 
 
 def _ending(folder: Path, found: DerivedAircraft) -> list[str]:
+    from testbed.commissioning.first_formation import NAME as FORMATION
+
     lines = []
     if found.speed is not None:
         model = found.speed.model
@@ -220,6 +325,7 @@ def _ending(folder: Path, found: DerivedAircraft) -> list[str]:
         f"next: testbed trim {path} --airspeed {speed}",
         f"      testbed linearize {path} --airspeed {speed}",
         f"      aircraft: {path} in a scenario",
+        *([] if found.speed is None else [f"      testbed run {path}/{FORMATION}"]),
     ]
 
 

@@ -11,9 +11,12 @@ from typing import Any
 from testbed.autopilot.parameters import FbwaParams
 from testbed.commissioning.airframe_import import CopiedAircraft
 from testbed.commissioning.check_flight import CheckFlight
+from testbed.commissioning.first_formation import NAME as FORMATION
+from testbed.commissioning.first_formation import first_formation
 from testbed.commissioning.new_aircraft import ALTITUDE, DerivedAircraft
 from testbed.core.files import write_text_file
 from testbed.scenario.yaml_io import write
+from testbed.vehicle.jsbsim_adapter import airframe
 
 _DERIVED = "Derived from the flight model by testbed new aircraft: SOURCE.md"
 
@@ -37,6 +40,8 @@ def write_aircraft_files(copied: CopiedAircraft, found: DerivedAircraft) -> None
         ),
         "SOURCE.md": _source_text(copied, found),
     }
+    if found.speed is not None:
+        texts[FORMATION] = first_formation(folder.name, found, airframe(folder).span)
     for name, text in texts.items():
         with write_text_file(folder / name) as file:
             file.write(text)

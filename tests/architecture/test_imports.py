@@ -202,6 +202,7 @@ OPENING = {
     "views.viewer": "a table of the kernel",
     "plan.resources": "tables of the kernel",
     "plan.user_code": "metadata of an installed package",
+    "cli.new": "templates of the package itself",
     "cli.output": "the null device",
 }
 

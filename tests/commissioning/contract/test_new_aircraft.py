@@ -16,7 +16,7 @@ from testbed.commissioning.airframe_import import copy_aircraft
 from testbed.commissioning.check_flight import DURATION_S, check_and_soften, fly_check
 from testbed.commissioning.first_gains import softened
 from testbed.commissioning.step_responses import ResponseError, measure_steps, start_of
-from testbed.scenario import find_aircraft, load_middle_loop, loads
+from testbed.scenario import find_aircraft, load_middle_loop, load_scenario, loads
 from testbed.vehicle.jsbsim_adapter import (
     SHARED_FILES,
     linearize_aircraft,
@@ -67,6 +67,7 @@ def test_new_aircraft_has_all_its_files(cessna):
     assert files == {
         *("cessna.xml", "Engines/eng_io320.xml", "Engines/prop_75in2f.xml", "autopilot.param"),
         *("middle_loop.yaml", "guidance.yaml", "envelope.png", "SOURCE.md"),
+        "formation-of-three.yaml",
     }
     assert (folder / "cessna.xml").read_bytes() == file_of("c172p").read_bytes()
     assert [each.name for each in folder.parent.iterdir() if each.is_dir()] == ["cessna"]
@@ -97,6 +98,17 @@ def test_written_gains_are_those_of_the_document(cessna):
     source = (folder / "SOURCE.md").read_text(encoding="utf-8")
     assert "no number was measured on a real aircraft" in source
     assert f"{document['speed_pole_per_s']:.2f} 1/s" in source
+
+
+def test_formation_of_new_aircraft_flies(cessna, tmp_path):
+    """In its own folder: three behind a fourth, within the speeds of the autopilot, on a climb."""
+    folder, document, _ = cessna
+    flown = testbed.run(folder / "formation-of-three.yaml", duration_s=70.0, out=tmp_path / "run")
+    errors = flown.metrics["windows"]["circle"]["rms_m"]
+    assert set(errors) == {"uav1", "uav2", "uav3"} and max(errors.values()) < 1.0
+    assert flown.outcome == "completed"
+    pole = load_scenario(str(folder / "formation-of-three.yaml")).formation.speed_pole_per_s
+    assert pole == pytest.approx(document["speed_pole_per_s"], abs=0.01)
 
 
 def test_two_new_aircraft_hold_their_slots(cessna):
