@@ -79,10 +79,11 @@ Commands; each array has one row per follower, and one number is no array:
 
 from __future__ import annotations
 
+from testbed.core.flags import LimiterFlag, Saturation
 from testbed.core.records import FbwaCommand, Inbox, OwnState, UnicycleCommand, VehicleState
 from testbed.formation.compiled_law import FollowerConfig
 from testbed.formation.follower_hbh23 import HBH23_MEMORY, FollowerHbh23
-from testbed.formation.law import FormationConfig, Law, LimiterFlag
+from testbed.formation.law import FormationConfig, Law
 from testbed.formation.law_outputs import Outputs
 from testbed.formation.velocity_command import command_from_velocity, ground_speed_bounds
 
@@ -97,6 +98,7 @@ __all__ = [
     "LimiterFlag",
     "Outputs",
     "OwnState",
+    "Saturation",
     "UnicycleCommand",
     "VehicleState",
     "command_from_velocity",

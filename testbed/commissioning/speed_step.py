@@ -19,10 +19,10 @@ from testbed.autopilot.parameters import FbwaParams, make_gains
 from testbed.commissioning.identify import FirstOrder, fit_first_order
 from testbed.core.compile import entry
 from testbed.core.errors import InputError
+from testbed.core.flags import Saturation
 from testbed.core.records import AIRCRAFT, FOLLOWER, Array, NedOrigin, Records, allocate
 from testbed.flight.steps import copy_truth
 from testbed.flight.vehicles import JsbsimVehicles
-from testbed.formation.law import Saturation
 from testbed.formation.middle_loop import initial_memory, middle_loop
 from testbed.plan.control import make_loops
 from testbed.scenario import MiddleLoopGains

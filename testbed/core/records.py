@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from enum import IntFlag
 from pathlib import Path
 from typing import (
     Annotated,
@@ -35,6 +36,7 @@ from numpy.typing import NDArray
 
 from testbed.core.compile import is_interpreted
 from testbed.core.field_docs import document_fields
+from testbed.core.flags import LimiterFlag, Saturation
 
 Array = NDArray[np.float64]
 ByteArray = NDArray[np.uint8]
@@ -61,10 +63,13 @@ class Logged:
     Args:
         names: their last word is the unit, as in `roll_rad`, unless they are dimensionless.
         per_aircraft: the field has a value about each aircraft of the run, under one name.
+        bits: what the bits of the field are; None: it is a number.
     """
 
-    def __init__(self, *names: str, per_aircraft: bool = False) -> None:
-        self.names, self.per_aircraft = names, per_aircraft
+    def __init__(
+        self, *names: str, per_aircraft: bool = False, bits: type[IntFlag] | None = None
+    ) -> None:
+        self.names, self.per_aircraft, self.bits = names, per_aircraft, bits
 
 
 def logged_ned(quantity: str, unit: str) -> Logged:
@@ -341,10 +346,10 @@ class FormationState(NamedTuple):
     course_desired: Annotated[Array, Logged("course_desired_rad")]  # (n,) rad
     flight_path_angle: Annotated[Array, Logged("flight_path_angle_rad")]  # (n,) rad
     flight_path_angle_desired: Annotated[Array, Logged("flight_path_angle_desired_rad")]  # (n,) rad
-    # (n,) bit set of formation.law.LimiterFlag
-    limiter_flags: Annotated[ByteArray, Logged("limiter_bits")]
-    # (n,) bit set of formation.law.Saturation
-    saturations: Annotated[ByteArray, Logged("saturation_bits")]
+    # (n,) bit set of LimiterFlag
+    limiter_flags: Annotated[ByteArray, Logged("limiter_bits", bits=LimiterFlag)]
+    # (n,) bit set of Saturation
+    saturations: Annotated[ByteArray, Logged("saturation_bits", bits=Saturation)]
     # (n,) slot of the follower, a row of the N
     slot_index: Annotated[UIntArray, Logged("slot_index")]
     # (n, n + 1) age of the message of aircraft j that follower i used, s; NaN: none

@@ -17,6 +17,7 @@ import numpy as np
 from testbed.core.call_list import NOW, Call
 from testbed.core.compile import entry, kernel
 from testbed.core.errors import FlightError, InputError, describe_error
+from testbed.core.flags import LimiterFlag, Saturation
 from testbed.core.frames import course, flight_path_angle, gamma_of, norm
 from testbed.core.interrupts import Interrupt
 from testbed.core.records import (
@@ -43,7 +44,7 @@ from testbed.formation.compiled_law import (
     allocate_inputs,
 )
 from testbed.formation.control_step import control_step, finish_step
-from testbed.formation.law import FormationConfig, Law, LimiterFlag, Saturation
+from testbed.formation.law import FormationConfig, Law
 from testbed.formation.law_outputs import outputs_of
 from testbed.formation.message_extrapolation import message_ages
 

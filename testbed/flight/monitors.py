@@ -9,10 +9,10 @@ import numpy as np
 
 from testbed.core.call_list import NOW, Call
 from testbed.core.compile import entry
+from testbed.core.flags import LimiterFlag
 from testbed.core.records import Array, BoolArray, Event, Indices, Records, allocate
 from testbed.flight.faults import FaultManager
 from testbed.flight.limits import ProximityMonitor
-from testbed.formation.law import LimiterFlag
 from testbed.metrics.accumulator import JOIN_HOLD_S, JOIN_RADIUS_M
 from testbed.network.link_statistics import record_ages
 

@@ -7,6 +7,7 @@ from math import atan2, copysign, cos, isnan, nan, sin
 import numpy as np
 
 from testbed.core.compile import kernel
+from testbed.core.flags import LimiterFlag
 from testbed.core.frames import PAPER_GRAVITY, gamma_of, norm
 from testbed.core.records import Record, Values, Vector
 from testbed.core.speed_model import SPEED_MODEL, speed_terms
@@ -19,7 +20,6 @@ from testbed.core.velocity_frame import (
 )
 from testbed.formation.barrier import BARRIER, NO_BARRIER, h
 from testbed.formation.control_function import MU, mu
-from testbed.formation.law import LimiterFlag
 from testbed.formation.leader_filter import (
     DIFFERENCE,
     ROLL_RATE,

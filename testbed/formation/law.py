@@ -1,4 +1,4 @@
-"""Interface of a formation law, and flags of the limits that acted.
+"""Interface of a formation law.
 
 A law steps n followers at once, each from its own estimate and the messages that it has received.
 It returns the inputs of the extended unicycle, which the middle loop turns into a fly-by-wire-A
@@ -8,7 +8,6 @@ command, or that command itself. Its memory is an argument and a return value.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntFlag
 from typing import Any, Protocol
 
 import numpy as np
@@ -23,23 +22,6 @@ OLD_BOUNDS = (
     "config.airspeed_min and airspeed_max, or ground_speed_bounds(config, own) for bounds of a "
     "speed over the ground)"
 )
-
-
-class LimiterFlag(IntFlag):
-    """A limiter of the control law that acted."""
-
-    SPEED_DESIRED_CLAMPED = 1  # s_d was outside S_d and clamped, its derivative set to zero
-    OUTSIDE_SPEED_SET = 2  # s is outside S: second branch of (14)
-    SPEED_COMMAND_CLIPPED = 4  # u + s_a − s was outside the speed bounds
-    LEADER_TIMEOUT = 8  # no message of the leader for leader_timeout_s
-
-
-class Saturation(IntFlag):
-    """A limit of the middle loop's command that was reached."""
-
-    PITCH = 1
-    ROLL = 2
-    THROTTLE = 4
 
 
 @document_fields

@@ -7,10 +7,10 @@ from math import atan, atan2, cos, isnan, nan, sin
 import numpy as np
 
 from testbed.core.compile import kernel
+from testbed.core.flags import LimiterFlag, Saturation
 from testbed.core.frames import PAPER_GRAVITY, gamma_of, norm, wrap_pi
 from testbed.core.records import Record, Records, Values, allocate
 from testbed.core.velocity_frame import velocity_rates
-from testbed.formation.law import LimiterFlag, Saturation
 
 PITCH, ROLL, THROTTLE = map(int, (Saturation.PITCH, Saturation.ROLL, Saturation.THROTTLE))
 CLIPPED = int(LimiterFlag.SPEED_COMMAND_CLIPPED)

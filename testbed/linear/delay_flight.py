@@ -13,11 +13,11 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from testbed.core.flags import Saturation
 from testbed.core.records import Array
 from testbed.core.velocity_frame import velocity_frame
 from testbed.flight.loop import Flight
 from testbed.flight.world import World
-from testbed.formation.law import Saturation
 from testbed.formation.slots import write_formation_state
 from testbed.linear.delay_offset import (
     MAX_LOSS,

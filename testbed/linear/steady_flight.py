@@ -14,11 +14,11 @@ import numpy as np
 
 from testbed.compiled.compiled_fleet import ENGINE_REMEDY, NotCompiledError
 from testbed.core.errors import InputError
+from testbed.core.flags import Saturation
 from testbed.core.frames import GRAVITY
 from testbed.core.records import Array, BoolArray, join_names
 from testbed.flight.vehicles import JsbsimVehicles
 from testbed.flight.world import World
-from testbed.formation.law import Saturation
 from testbed.linear.held_flight import COMMANDS, HeldFlight
 from testbed.plan.world import build
 from testbed.scenario import Scenario

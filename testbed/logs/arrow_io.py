@@ -55,8 +55,8 @@ def _schema(flight: FlightData) -> Any:  # noqa: ANN401 - pyarrow has no types
         kind = arrow.uint32() if each.integer else arrow.float64()
         if each.source == "lost":
             kind = arrow.bool_()
-        unit = {"unit": each.unit} if each.unit else None
-        fields += [arrow.field(name, kind, metadata=unit) for name in each.columns(flight.names)]
+        notes = ({"unit": each.unit} if each.unit else {}) | each.flag_attributes
+        fields += [arrow.field(name, kind, metadata=notes) for name in each.columns(flight.names)]
     return arrow.schema(fields, metadata=flight.documents())
 
 

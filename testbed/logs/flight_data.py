@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.core.errors import needs_extra
+from testbed.core.flags import flag_names
 from testbed.core.records import Array, BoolArray, Event, RunInfo
 from testbed.logs.messages import Quantity, quantities_of
 from testbed.logs.read import RunLog, read_log
@@ -132,6 +133,20 @@ class FlightData:
         out[:, 1:] = values
         return out
 
+    def flags(self, name: str) -> dict[str, BoolArray]:
+        """Return where the bits of a quantity are set, (K, N) by the name of each bit.
+
+        Raises:
+            KeyError: no quantity has this name, or it is a number.
+        """
+        values, bits = self[name], self.quantities[name].bits
+        if bits is None:
+            sets = ", ".join(each.name for each in self.quantities.values() if each.bits)
+            raise KeyError(f"{name} is a number, without bits; {sets} have some")
+        return {
+            text: (values & flag) != 0 for flag, text in zip(bits, flag_names(bits), strict=True)
+        }
+
     def documents(self) -> dict[str, str]:
         """Return the texts that exports carry: the scenario, and JSON of run, metrics, events."""
         log = self.log
@@ -174,7 +189,7 @@ class FlightData:
             each.name: (
                 ("time_s", "aircraft", "other") if each.per_aircraft else ("time_s", "aircraft"),
                 self.values(each),
-                {"units": each.unit} if each.unit else {},
+                ({"units": each.unit} if each.unit else {}) | each.flag_attributes,
             )
             for each in self.quantities.values()
         }

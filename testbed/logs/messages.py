@@ -9,9 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from enum import IntFlag
 from functools import cache
 from typing import Any, get_origin, get_type_hints
 
+from testbed.core.flags import flag_names
 from testbed.core.identifiers import identifiers
 from testbed.core.records import AXES, Sample, logged_fields
 
@@ -30,6 +32,7 @@ class Column:
     dtype: str  # of a component in a sample
     per_aircraft: bool  # one field, a message with a value by the name of each aircraft
     default_source: str | None = None  # the column whose values hold where nothing was written
+    bits: type[IntFlag] | None = None  # what its bits are; None: it is a number
 
     @property
     def type(self) -> str:
@@ -78,7 +81,8 @@ def _column(source: str, default_source: str | None = None) -> Column:
     """Make the column of a field that is annotated with `Logged`; its path is from `Sample`."""
     record, _, field = source.rpartition(".")
     dtype, logged = _logged_fields(RECORDS[record] if record else Sample)[field]
-    return Column(source, logged.names, dtype, logged.per_aircraft, default_source)
+    more = logged.per_aircraft, default_source, logged.bits
+    return Column(source, logged.names, dtype, *more)
 
 
 def _columns(record: str) -> tuple[Column, ...]:
@@ -157,6 +161,15 @@ class Quantity:
     followers_only: bool  # the leader has no value
     per_aircraft: bool  # a value about every aircraft, (K, N, N)
     integer: bool  # a count, an index or a set of bits
+    bits: type[IntFlag] | None  # what its bits are; None: it is a number
+
+    @property
+    def flag_attributes(self) -> dict[str, str]:
+        """Masks and names of its bits, as the CF conventions have them; empty: it is a number."""
+        if self.bits is None:
+            return {}
+        masks = " ".join(str(int(flag)) for flag in self.bits)
+        return {"flag_masks": masks, "flag_meanings": " ".join(flag_names(self.bits))}
 
     def of(self, array: Any) -> Any:  # noqa: ANN401 - an array of any type
         """Return the values in the array of the source."""
@@ -191,6 +204,7 @@ def _quantities(topic: Topic) -> Iterator[Quantity]:
                 followers_only=topic.followers_only,
                 per_aircraft=column.per_aircraft,
                 integer=column.type == FIXED32,
+                bits=column.bits,
             )
 
 

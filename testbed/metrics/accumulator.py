@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from testbed.core.flags import LimiterFlag, Saturation
 from testbed.core.frames import wrap_pi
 from testbed.core.records import Array, BoolArray
 from testbed.core.samples import SampleRows
-from testbed.formation.law import LimiterFlag, Saturation
 from testbed.metrics.ringing import RingingMonitor
 
 Ticks = NDArray[np.int64]

@@ -8,12 +8,11 @@ from pydantic import TypeAdapter, ValidationError
 
 from testbed.core.data_errors import describe_first
 from testbed.core.errors import InputError
+from testbed.core.flags import LimiterFlag, Saturation, flag_names
 from testbed.core.records import RunInfo
-from testbed.formation.law import LimiterFlag, Saturation
 from testbed.metrics.document import OUTCOMES
 from testbed.metrics.facts import facts
 from testbed.metrics.model import Metrics
-from testbed.metrics.names import flag_names
 from testbed.metrics.printed_tables import (
     arrival_tables,
     error_tables,

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from enum import IntFlag
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union
 
 from typing_extensions import NotRequired, get_args, get_origin, get_type_hints, is_typeddict
 
-from testbed.formation.law import LimiterFlag, Saturation
+from testbed.core.flags import LimiterFlag, Saturation, flag_names
 from testbed.metrics.facts import LOSSES
 from testbed.metrics.model import Metrics, key_kind
 
@@ -38,11 +37,6 @@ def run_numbers(
     document: dict[str, Any] = _blank(Metrics, kinds)
     optional = {"begin_s": begins, "expect": expects}
     return {key: value for key, value in document.items() if optional.get(key, True)}
-
-
-def flag_names(kind: type[IntFlag]) -> list[str]:
-    """Return the names of flags, as keys of the document."""
-    return [str(flag.name).lower() for flag in kind]
 
 
 def _blank(kind: Any, names: _Names) -> Any:  # noqa: ANN401 - types and JSON

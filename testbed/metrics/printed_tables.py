@@ -19,8 +19,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from testbed.core.flags import Saturation
 from testbed.core.records import join_names
-from testbed.formation.law import Saturation
 from testbed.metrics.document import EXCEEDED
 from testbed.metrics.facts import ABSENT, facts, percent, select_largest, shown
 from testbed.metrics.model import LinkMetrics, LoggedEvent, Metrics, WindowMetrics

@@ -9,10 +9,10 @@ from typing import Any, cast
 
 import numpy as np
 
+from testbed.core.flags import LimiterFlag, Saturation
 from testbed.core.frames import wind_from_deg
 from testbed.core.records import Array, BoolArray, Event, RunInfo
 from testbed.formation.assumptions import largest_kappa
-from testbed.formation.law import LimiterFlag, Saturation
 from testbed.metrics.accumulator import ESTIMATE_KEYS, NEVER, Accumulator, Ticks
 from testbed.metrics.model import Metrics, SlotSpeed
 

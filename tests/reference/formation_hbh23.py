@@ -21,11 +21,11 @@ from reference.formation_laws import (
 from reference.formation_leader_filter import Memory, no_messages
 from reference.formation_message_extrapolation import corrected, kept, places, times
 from reference.frames import velocity_frame
+from testbed.core.flags import LimiterFlag
 from testbed.core.frames import course, flight_path_angle
 from testbed.core.records import Array, BoolArray, Messages, UnicycleCommand, VehicleState
 from testbed.formation.barrier import SpeedBarrier
 from testbed.formation.control_function import ControlFunction
-from testbed.formation.law import LimiterFlag
 
 CLAMPED = int(LimiterFlag.SPEED_DESIRED_CLAMPED)
 OUTSIDE = int(LimiterFlag.OUTSIDE_SPEED_SET)

@@ -9,6 +9,7 @@ import numpy as np
 
 from reference.formation_arrays import norm
 from reference.formation_geometry import velocity_rates
+from testbed.core.flags import LimiterFlag, Saturation
 from testbed.core.frames import PAPER_GRAVITY, course, flight_path_angle, wrap_pi
 from testbed.core.records import (
     Array,
@@ -18,7 +19,6 @@ from testbed.core.records import (
     UnicycleCommand,
     VehicleState,
 )
-from testbed.formation.law import LimiterFlag, Saturation
 
 PITCH, ROLL, THROTTLE = map(int, (Saturation.PITCH, Saturation.ROLL, Saturation.THROTTLE))
 CLIPPED = int(LimiterFlag.SPEED_COMMAND_CLIPPED)

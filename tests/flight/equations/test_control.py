@@ -8,6 +8,7 @@ from formation_cases import DT, make_law, make_middle, mixed_options, states
 from reference.adapters import law_records, loop_records
 
 from testbed.core.errors import InputError
+from testbed.core.flags import Saturation
 from testbed.core.records import (
     AIRCRAFT,
     FOLLOWER,
@@ -19,7 +20,7 @@ from testbed.core.records import (
 )
 from testbed.flight.control import Control, ControlGroup, validate_command
 from testbed.formation.control_step import initial_controllers, make_neighbours
-from testbed.formation.law import FormationConfig, Saturation
+from testbed.formation.law import FormationConfig
 
 NAMES = ("uav1", "uav2", "uav3", "uav4", "uav5")
 

@@ -5,6 +5,7 @@ from math import nan
 import numpy as np
 import pytest
 
+from testbed.core.flags import LimiterFlag
 from testbed.core.records import FOLLOWER, LINK, allocate
 from testbed.flight.monitors import (
     LEADER_WATCH,
@@ -14,7 +15,6 @@ from testbed.flight.monitors import (
     check_links,
 )
 from testbed.formation.hbh23 import NEIGHBOUR
-from testbed.formation.law import LimiterFlag
 from testbed.network.link_statistics import initial_statistics
 
 NAMES = ("leader", "uav1", "uav2", "uav3")

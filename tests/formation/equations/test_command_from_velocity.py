@@ -11,8 +11,9 @@ from reference import formation_laws as laws
 from reference.formation_laws import Desired
 
 from testbed import law as public
+from testbed.core.flags import LimiterFlag
 from testbed.formation.control_step import Hbh23Law
-from testbed.formation.law import FormationConfig, LimiterFlag
+from testbed.formation.law import FormationConfig
 from testbed.law import command_from_velocity
 
 N = 200

@@ -36,11 +36,11 @@ from reference.formation_middle_loop import middle_step
 from reference.frames import velocity_frame
 
 from testbed.core.compile import entry
+from testbed.core.flags import LimiterFlag, Saturation
 from testbed.core.records import COMMAND, FOLLOWER, LINK, MOTION, allocate, write_fields
 from testbed.formation.barrier import SpeedBarrier
 from testbed.formation.control_function import EXAMPLE_2, EXAMPLE_3, example_1
 from testbed.formation.control_step import control_step, initial_controllers
-from testbed.formation.law import LimiterFlag, Saturation
 
 FUNCTIONS = [PAPERS_MU, example_1(2.5e5, 1.0, 0.8), EXAMPLE_2, EXAMPLE_3]
 BARRIERS = [

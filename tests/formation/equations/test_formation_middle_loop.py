@@ -16,8 +16,8 @@ from formation_cases import (
 from reference.formation_middle_loop import MiddleLoopMemory
 from reference.frames import velocity_frame
 
+from testbed.core.flags import LimiterFlag, Saturation
 from testbed.core.records import UnicycleCommand, VehicleState
-from testbed.formation.law import LimiterFlag, Saturation
 from testbed.formation.middle_loop import initial_memory
 
 # Straight and level at trim: every error is zero.

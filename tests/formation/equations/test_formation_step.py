@@ -28,13 +28,13 @@ from reference import formation_control_function as control_functions
 from reference.adapters import law_records, neighbour_records
 from reference.formation_leader_filter import Memory
 
+from testbed.core.flags import LimiterFlag
 from testbed.core.frames import wrap_pi
 from testbed.core.records import Messages
 from testbed.formation import leader_filter as leading
 from testbed.formation.barrier import SpeedBarrier
 from testbed.formation.control_function import EXAMPLE_2, EXAMPLE_3, example_1
 from testbed.formation.control_step import Hbh23Law
-from testbed.formation.law import LimiterFlag
 
 NORTH = np.array([1.0, 0.0, 0.0])
 

@@ -20,9 +20,9 @@ from formation_cases import (
 from reference.formation_message_extrapolation import times
 from reference.frames import velocity_frame
 
+from testbed.core.flags import LimiterFlag
 from testbed.core.records import Messages
 from testbed.formation import leader_filter as leading
-from testbed.formation.law import LimiterFlag
 
 NEVER, LONG_AGO = "never", "long ago"
 each_way = pytest.mark.parametrize("way", [NEVER, LONG_AGO])

@@ -12,11 +12,13 @@ import numpy as np
 import pandas
 import pytest
 from commands import call_command
+from places import ROOT
 from pyarrow import parquet
 from record_flight import RECORDS, decoded, event, record, run_info, run_samples
 
 import testbed
 from testbed.core.records import VehicleState, join_names
+from testbed.law import LimiterFlag, Saturation
 from testbed.logs import arrow_io, flight_data
 from testbed.logs.file_record import RECORD_NAME
 from testbed.logs.flight_data import write_npz
@@ -198,6 +200,27 @@ def test_repr_is_short(flight, path, tmp_path):
 
 def records_of(log):
     return [getattr(log, name) for name in RECORDS]
+
+
+def test_bits_have_names(flight, table):
+    """In arrays of flags, in xarray and in Parquet: those of the two sets of bits, no others."""
+    found = flight.flags("formation_saturation_bits")
+    bits = flight["formation_saturation_bits"]
+    assert list(found) == ["pitch", "roll", "throttle"]
+    assert np.array_equal(4 * found["throttle"], bits & 4)
+    assert found["throttle"].any() and not found["throttle"].all()
+    with pytest.raises(KeyError, match="state_roll_rad is a number, without bits; formation_limi"):
+        flight.flags("state_roll_rad")
+    attributes = flight.to_xarray()["formation_limiter_bits"].attrs
+    assert attributes["flag_masks"] == "1 2 4 8"
+    assert attributes["flag_meanings"].split()[3] == "leader_timeout"
+    assert table.schema.field("formation_limiter_bits").metadata[b"flag_masks"] == b"1 2 4 8"
+    assert "flag_masks" not in flight.to_xarray()["state_roll_rad"].attrs
+    text = (ROOT / "docs" / "export.md").read_text("utf-8")
+    for kind in (LimiterFlag, Saturation):
+        for flag in kind:
+            row = next(line for line in text.splitlines() if line.startswith(f"| {int(flag)} |"))
+            assert f"`{flag.name.lower()}`" in row
 
 
 def test_unknown_name_suggests_similar(flight):

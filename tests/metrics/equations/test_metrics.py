@@ -7,6 +7,7 @@ import pytest
 from reference.frames import velocity_frame
 
 from testbed.core import samples as core_samples
+from testbed.core.flags import LimiterFlag, Saturation
 from testbed.core.records import (
     ActuatorCommand,
     AirData,
@@ -19,7 +20,6 @@ from testbed.core.records import (
     Sample,
     VehicleState,
 )
-from testbed.formation.law import LimiterFlag, Saturation
 from testbed.metrics.accumulator import SPAN
 from testbed.metrics.facts import describe_wind
 from testbed.metrics.observer import MetricsObserver

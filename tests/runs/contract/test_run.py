@@ -27,8 +27,8 @@ from run_flight import (
 from waiting import TIMEOUT_S, until
 
 import testbed
+from testbed.core.flags import LimiterFlag
 from testbed.flight import loop
-from testbed.formation.law import LimiterFlag
 from testbed.logs import mcap_file
 from testbed.logs.file_record import RECORD_NAME
 from testbed.logs.read import read_log, samples
