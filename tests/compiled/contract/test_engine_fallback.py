@@ -7,12 +7,13 @@ import pytest
 
 import testbed
 from testbed.cli.new import describe_engine
-from testbed.compiled import compiled_fleet
+from testbed.compiled import CompiledAircraft, compiled_fleet
 from testbed.compiled.compiled_fleet import find_engine, find_engines, untranslated
 from testbed.core.errors import InputError
 from testbed.linear.steady_flight import build_compiled, steady_scenario
 from testbed.plan.world import build
 from testbed.scenario import library, load_scenario, loads, set_duration
+from testbed.vehicle.jsbsim_adapter import load
 
 RATE_HZ = 200
 ALPHA = "<property> aero/alpha-rad </property>"
@@ -51,24 +52,47 @@ def fly(kite, engine="auto", duration_s=0.2):
     return testbed.run(set_duration(loads(text), duration_s), write=False)
 
 
+LIMITED = {
+    # components that are at a limit in each state of the proof, and at the start only
+    "in the proof": '<integrator name="made/it"><input>fcs/throttle-cmd-norm</input><c1>0.5</c1>'
+    "<clipto><min>-2</min><max>2</max></clipto></integrator>"
+    '<lag_filter name="made/lag"><input>aero/alpha-rad</input><c1>-240</c1></lag_filter>',
+    "at the start": '<lag_filter name="made/lag"><input>velocities/vt-fps</input><c1>10</c1>'
+    "<clipto><min>0</min><max>69</max></clipto></lag_filter>",
+}
+
+
+def odd_and_large(statements):
+    """Functions with a table of one row, and lists and tables beyond the 200 that Python can nest.
+
+    Args:
+        statements: number of elements of the lists that are a statement each, or two.
+    """
+    return [
+        table(1),
+        table(1_000),
+        pairs(1_000),
+        f"<switch><abs>{ALPHA}</abs>{NUMBER * 210}</switch>",
+        f"<switch><abs>{ALPHA}</abs>{ALPHA * statements}</switch>",
+        f"<sum>{ALPHA}{NUMBER * 210}</sum>",
+        f"<min>{ALPHA}{NUMBER * statements}</min>",
+        f"<and>{f'<lt>{ALPHA}{NUMBER}</lt>' * (statements // 2)}</and>",
+    ]
+
+
 def test_odd_and_large_elements_are_compiled(tmp_path):
-    """A table of one row, lists and tables beyond the 200 that Python can nest."""
-    kite = make(
-        tmp_path,
-        [
-            table(1),
-            table(1_000),
-            pairs(1_000),
-            f"<switch><abs>{ALPHA}</abs>{NUMBER * 210}</switch>",
-            f"<switch><abs>{ALPHA}</abs>{ALPHA * 210}</switch>",
-            f"<sum>{ALPHA}{NUMBER * 210}</sum>",
-            f"<min>{ALPHA}{NUMBER * 210}</min>",
-            f"<and>{f'<lt>{ALPHA}{NUMBER}</lt>' * 100}</and>",
-        ],
+    """Source of full length is parsed; that of which each statement costs time is compiled."""
+    for name in ("long", "short"):
+        (tmp_path / name).mkdir()
+    long = make(tmp_path / "long", odd_and_large(210))
+    source = CompiledAircraft(long, load(long, RATE_HZ)).source
+    assert min(source.count("least("), source.count("chosen(")) >= 210
+    compile(source, "source", "exec")
+    assert len(source) < 100_000
+    engine = find_engine(
+        make(tmp_path / "short", odd_and_large(20), LIMITED["at the start"]), RATE_HZ
     )
-    engine = find_engine(kite, RATE_HZ)
     assert engine.compiled is not None, engine.reasons
-    assert len(engine.compiled.source) < 100_000
 
 
 TOO_LARGE = {
@@ -121,19 +145,13 @@ def test_all_reasons_are_named_at_once(tmp_path):
     assert fly(kite).metrics["engine"] == "jsbsim"  # as the text has it
 
 
-LIMITED = {
-    # components that are at a limit in each state of the proof, and at the start only
-    "in the proof": '<integrator name="made/it"><input>fcs/throttle-cmd-norm</input><c1>0.5</c1>'
-    "<clipto><min>-2</min><max>2</max></clipto></integrator>"
-    '<lag_filter name="made/lag"><input>aero/alpha-rad</input><c1>-240</c1></lag_filter>',
-    "at the start": '<lag_filter name="made/lag"><input>velocities/vt-fps</input><c1>10</c1>'
-    "<clipto><min>0</min><max>69</max></clipto></lag_filter>",
-}
-
-
 @pytest.mark.parametrize("where", LIMITED)
-def test_components_at_a_limit_are_flown_by_jsbsim(tmp_path, where):
-    kite = make(tmp_path, components=LIMITED[where])
+def test_components_at_a_limit_are_flown_by_jsbsim(tmp_path, monkeypatch, where):
+    """The proof places before it runs; what is compiled for the other is that of a test above."""
+    if where == "in the proof":
+        monkeypatch.setattr(compiled_fleet, "prepare", lambda *_: None)
+    functions = odd_and_large(20) if where == "at the start" else ()
+    kite = make(tmp_path, functions, LIMITED[where])
     assert (find_engine(kite, RATE_HZ).compiled is None) == (where == "in the proof")
     run = fly(kite)
     assert (run.metrics["engine"], run.outcome) == ("jsbsim", "completed")

@@ -35,8 +35,8 @@ SCENARIO = {
     "extends": "simulation-3",
     "scenario": {
         "name": "three",
-        "duration_s": 45,
-        "windows": {"rectangles": None, "circles": None, "joined": [15, 45]},
+        "duration_s": 36,
+        "windows": {"rectangles": None, "circles": None, "joined": [15, 36]},
         "origin": ORIGIN,
     },
 }
@@ -140,7 +140,7 @@ def numpy_errors(flown):
         invoke(flown, "import", flown / "run/run.tlog", "--system", system, *about, "--out", out)
         tables.append(np.genfromtxt(out, delimiter=",", names=True))
     leader = tables[0]
-    inside = (leader["t_s"] >= 15.0) & (leader["t_s"] < 45.0)
+    inside = (leader["t_s"] >= 15.0) & (leader["t_s"] < 36.0)
     north, east, down = (leader[f"v_{axis}_mps"] for axis in ("north", "east", "down"))
     horizontal = np.hypot(north, east)
     speed = np.hypot(horizontal, down)
@@ -258,7 +258,7 @@ def test_formation_leaves_out_gaps(flown):
     words = ("import-formation", flown / "three.yaml", flown / "gap.tlog", "--out", flown / "gap")
     assert "left out: 0.0 to 10.0 s" in " ".join(invoke(flown, *words).split())
     log = read_log(flown / "gap" / "run.mcap")
-    assert (log.time_s[0], log.time_s[-1]) == pytest.approx((12.52, 45.0), abs=0.03)
+    assert (log.time_s[0], log.time_s[-1]) == pytest.approx((12.52, 36.0), abs=0.03)
     assert any("left out: 0 to 10 s" in event.text for event in log.events)
     # the import of one aircraft says where; a part of it has positions
     tlog = ("import", flown / "gap.tlog", "--system", 3, "--mode", "any", "--out", flown / "g.csv")
