@@ -201,10 +201,11 @@ PARTS = (
         "TESTBED_LAW_MARGINS=1 pytest tests/linear/equations/test_user_laws.py",
     ),
     Part(
-        "four stand-ins of ArduPlane; virtual autopilots against the recording of four real ones",
-        "the whole of Simulation 3",
+        "four stand-ins of ArduPlane; virtual autopilots against recordings of real ones",
+        "the whole of Simulation 3; four seeds of turns",
         "TESTBED_ARDUPLANE_WHOLE=1 pytest tests/ardupilot/contract/test_arduplane.py "
-        "tests/ardupilot/truth/test_four_arduplanes.py",
+        "tests/ardupilot/truth/test_four_arduplanes.py "
+        "tests/commissioning/truth/test_recorded_arduplane.py",
         parallel=False,
     ),
     Part("golden tables", "all, flown again", "testbed check --jobs {jobs}"),

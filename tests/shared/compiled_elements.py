@@ -16,6 +16,7 @@ from testbed.compiled import CompiledAircraft
 from testbed.compiled import compiled_aircraft as aircraft
 from testbed.compiled.proof import compare
 from testbed.core.compile import entry_of_source
+from testbed.vehicle.environment import INTEGRATORS, JSBSIM_DEFAULT_INTEGRATORS
 from testbed.vehicle.jsbsim_adapter import load
 
 AIRCRAFT = ROOT / "aircraft"
@@ -223,8 +224,13 @@ MADE = {
     "body_axes": axes("X", "Y", "Z"),
     "normal_axes": axes("AXIAL", "SIDE", "NORMAL"),
 }
-# Nearly all of them, for the compiler.
-ALL = MADE["functions"] + MADE["components"] + MADE["propulsion"]
+# Nearly all of them, for the compiler; `test_compiled_literals` compiles the other functions.
+OTHERS = {name: FUNCTIONS[name] for name in ("pi", "interpolate1d", "fmod", "asin", "and")}
+ALL = [
+    ('<axis name="DRAG">', functions(OTHERS | READS)),
+    *MADE["components"],
+    *MADE["propulsion"],
+]
 # Faults of a translator, in the source that it writes for an aircraft.
 FAULTS = {
     "an integrator of another order": (
@@ -257,8 +263,8 @@ def make(folder, name, changes, base="rascal110"):
     return made
 
 
-def unequal(folder):
-    found = CompiledAircraft(folder, load(folder, RATE_HZ))
+def unequal(folder, integrators=INTEGRATORS):
+    found = CompiledAircraft(folder, load(folder, RATE_HZ, integrators), integrators)
     return compare(found, RATE_HZ, STATES, FLIGHT_STEPS).unequal
 
 
@@ -277,4 +283,6 @@ if __name__ == "__main__":
     results = {
         name: unequal(make(Path(sys.argv[1]), name, changes)) for name, changes in MADE.items()
     }
+    elevons = AIRCRAFT / "skywalker_x8"
+    results["elevons"] = unequal(elevons, JSBSIM_DEFAULT_INTEGRATORS)
     print(json.dumps(results | {name: unequal_with(fault) for name, fault in FAULTS.items()}))

@@ -1,6 +1,7 @@
 """The virtual autopilot against a flight of the real ArduPlane on the same airframe."""
 
 import importlib
+import os
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
@@ -19,6 +20,7 @@ from testbed.vehicle.environment import JSBSIM_DEFAULT_INTEGRATORS
 
 RASCAL = ROOT / "aircraft" / "rascal110"
 RECORDING = ROOT / "tests" / "data" / "arduplane_fbwa_rascal_steps.csv"
+WHOLE = os.environ.get("TESTBED_ARDUPLANE_WHOLE")
 PERIOD_S = 0.02  # of the autopilot
 fly_recorded = partial(respond, integrators=JSBSIM_DEFAULT_INTEGRATORS)  # as the recording was
 
@@ -121,15 +123,23 @@ def test_latency_of_one_period_is_found(recorded_airframe: Path, tmp_path: Path)
 
 
 def test_descending_turns_follow_the_recorded_airframe(
-    recorded_airframe: Path, recorded_arduplane: ModuleType, tmp_path: Path
+    recorded_airframe: Path,
+    recorded_arduplane: ModuleType,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Roll and pitch of fast descending turns; measured: 0.38° and 0.39°."""
+    """Roll and pitch of fast descending turns; measured: 0.38° and 0.39°.
+
+    One seed of four; all of them, and the row in the docs, with TESTBED_ARDUPLANE_WHOLE=1.
+    """
+    if not WHOLE:
+        monkeypatch.setattr(recorded_arduplane, "SEEDS", recorded_arduplane.SEEDS[:1])
     each = recorded_arduplane.FAST[1]
     ours, real, late = recorded_arduplane.fly_manoeuvres(tmp_path, recorded_airframe, each)
     assert recorded_arduplane.rms_deg(ours, real, "phi_rad") < 0.5
     assert recorded_arduplane.rms_deg(ours, real, "theta_rad") < 0.5
     page = (ROOT / "docs" / "autopilot.md").read_text(encoding="utf-8")
-    assert recorded_arduplane.fast_row(each, ours, real, late) in page
+    assert not WHOLE or recorded_arduplane.fast_row(each, ours, real, late) in page
 
 
 def test_servo_travel_matters(tmp_path: Path) -> None:

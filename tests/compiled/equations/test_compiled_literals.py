@@ -28,7 +28,7 @@ from testbed.compiled.components import _COMPONENTS
 from testbed.compiled.frame import pressure
 from testbed.core.compile import is_interpreted
 
-COUNT = int(os.environ.get("TESTBED_LITERALS", "3000"))
+COUNT = int(os.environ.get("TESTBED_LITERALS", "1000"))
 WHOLE = COUNT >= 100_000
 PLAIN = "product sum difference quotient lt gt le ge eq nq min max"  # of which a sample is enough
 
@@ -128,7 +128,7 @@ def test_planted_faults_of_one_ulp_are_found(tmp_path):
             assert count == 1, right
         return text
 
-    arguments = arguments_of(max(COUNT, 20_000), special=False)
+    arguments = arguments_of(max(COUNT, 5_000), special=False)
     theirs = both.jsbsim(arguments)
     ours, _ = both.compiled(arguments, plant)
     assert (differing(ours, theirs) > 0).all()
