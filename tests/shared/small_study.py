@@ -1,5 +1,6 @@
 """A small study of unicycle vehicles, and a worker pool that flies it in this process."""
 
+import pickle
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
@@ -33,6 +34,11 @@ def write(folder, text=STUDY, name="small"):
     return path
 
 
+def as_by_a_process(value):
+    """Copy a task or a result as a worker process receives or returns it."""
+    return pickle.loads(pickle.dumps(value))
+
+
 @dataclass
 class InThisProcess:
     """Worker pool that flies in this process, and records the numbers of its tasks."""
@@ -47,7 +53,7 @@ class InThisProcess:
     def submit(self, task):
         self.finished.append(task.number)
         future = Future()
-        result = self.fly(task)
+        result = as_by_a_process(self.fly(as_by_a_process(task)))
         future.set_result(replace(result, depends_on_seed=True) if self.every_seed else result)
         return future
 

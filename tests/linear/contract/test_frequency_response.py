@@ -4,12 +4,14 @@ import json
 
 import pytest
 from commands import call_command, refuse_all
+from small_study import in_this_process
 
 
 def test_frequency_response_writes_json_and_figure(tmp_path):
     """Predicted only; the gain per hop is the amplitude over that of the follower ahead."""
     words = ("frequency-response", "simulation-3", "--plot", "figure.png", "--json", "out.json")
-    text = call_command(*words, "--jobs", "1", cwd=tmp_path, code=0, columns=120).stdout
+    with in_this_process():
+        text = call_command(*words, "--jobs", "1", cwd=tmp_path, code=0, columns=120).stdout
     assert "leader-speed · slot-error" in text and "uav3" in text
     assert (tmp_path / "figure.png").read_bytes().startswith(b"\x89PNG")
     found = json.loads((tmp_path / "out.json").read_text())
@@ -28,4 +30,5 @@ def test_frequency_response_writes_json_and_figure(tmp_path):
 
 
 def test_frequency_response_refuses(tmp_path):
-    refuse_all("frequency_response", tmp_path)
+    with in_this_process():
+        refuse_all("frequency_response", tmp_path)

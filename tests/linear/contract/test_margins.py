@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from commands import call_command, refuse_all
 from rich.console import Console
+from small_study import in_this_process
 
 from testbed.cli.margins import _table
 from testbed.cli.output import MISSING
@@ -310,7 +311,8 @@ def test_margins_required_are_measured_by_a_worker(scenario):
 
 
 def test_margins_command_refuses(tmp_path):
-    refuse_all("margins", tmp_path)
+    with in_this_process():
+        refuse_all("margins", tmp_path)
 
 
 def test_banks_are_below_the_limits_of_the_followers():

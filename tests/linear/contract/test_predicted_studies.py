@@ -40,7 +40,8 @@ def test_command_of_a_row_has_its_numbers(rows, tmp_path):
     row = rows[0]
     arguments = shlex.split(row["command"])[1:]
     assert row["outcome"] == "completed" and arguments[0] == "margins"
-    done = call_command(*arguments, "--json", "-", cwd=tmp_path, code=0, columns=80)
+    with small_study.in_this_process():
+        done = call_command(*arguments, "--json", "-", cwd=tmp_path, code=0, columns=80)
     ((case),) = json.loads(done.stdout)["predicted"]
     followers = case["followers"]
     assert row["metrics.margins.damping"] == min(

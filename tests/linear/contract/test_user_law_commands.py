@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 from commands import call_command
+from small_study import in_this_process
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 
@@ -25,7 +26,8 @@ def folder(tmp_path_factory):
 def test_margins_name_the_memory_that_is_held(folder):
     """In a line, and in JSON; poles of the memory are among those of the formation."""
     words = ("margins", "own.yaml", "--bank", "0", "--jobs", "1", "--json", "m.json")
-    done = call_command(*words, cwd=folder, code=0, columns=80)
+    with in_this_process():
+        done = call_command(*words, cwd=folder, code=0, columns=80)
     assert "held, as whole numbers and flags have no derivatives: memory steps" in done.stdout
     [straight] = json.loads((folder / "m.json").read_text("utf-8"))["predicted"]
     assert straight["note"].endswith("memory steps") and not straight["problem"]
@@ -48,7 +50,8 @@ def test_delay_of_a_law_is_flown(folder):
 def test_class_is_refused_with_what_a_kernel_needs(tmp_path):
     """And with the method that measures it."""
     words = ("margins", "own-law-leader-follower", "--bank", "0")
-    done = call_command(*words, cwd=tmp_path, code=2, columns=400)
+    with in_this_process():
+        done = call_command(*words, cwd=tmp_path, code=2, columns=400)
     assert "a law that is a Python class has a memory that is not known" in done.stderr
     assert "under @testbed.kernel that steps one follower, with its memory declared" in done.stderr
     assert "--method flown" in done.stderr

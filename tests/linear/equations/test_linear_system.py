@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from commands import call_command
 from scipy.signal import dfreqresp
+from small_study import in_this_process
 
 import testbed
 from testbed.core.errors import InputError
@@ -284,7 +285,8 @@ def test_loop_is_small(formation):
 def test_margins_are_those_printed(name, tmp_path):
     """By `testbed margins`, of all followers and commands."""
     words = "margins", name, "--bank", "0", "--jobs", "1", "--json", "m.json"
-    call_command(*words, cwd=tmp_path, code=0, columns=80)
+    with in_this_process():
+        call_command(*words, cwd=tmp_path, code=0, columns=80)
     printed = json.loads((tmp_path / "m.json").read_text())
     system = testbed.linearise(name)
     [bank] = printed["predicted"]

@@ -15,7 +15,13 @@ from scipy.signal import dlsim
 import testbed
 from testbed.core.errors import InputError
 from testbed.formation.compiled_law import CompiledLaw
-from testbed.linear import delay_margin, loop_margins, period_map, predicted_margins
+from testbed.linear import (
+    delay_margin,
+    follower_state,
+    loop_margins,
+    period_map,
+    predicted_margins,
+)
 from testbed.linear.delay_margin import delay_margins
 from testbed.linear.flown_margins import independent_groups
 from testbed.linear.follower_state import held_fields, problem_of_memory
@@ -38,7 +44,7 @@ KICK = math.radians(0.02)
 KICK_THROTTLE = 1e-3
 SHARES = {"gain": 0.05, "latency_s": 0.03}  # by which a predicted margin may be wrong
 
-# the error of the slot behind a low-pass filter of 0.8 s, NAME being its memory
+# the error of the slot behind a low-pass filter of 0.8 s
 FILTERED = """
 import numpy as np
 import testbed
@@ -50,7 +56,7 @@ DOWN = np.array([0.0, 0.0, 1.0])
 def length(v):
     return np.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
 
-@testbed.kernel(memory=[("NAME", float, 3), ("steps", int)])
+@testbed.kernel(memory=[("pull_ned", float, 3), ("steps", int)])
 def filtered(now, own, inbox, memory, config, closing=0.6):
     age = now - inbox.received_s[0]
     if not age <= config.leader_timeout_s:
@@ -65,8 +71,8 @@ def filtered(now, own, inbox, memory, config, closing=0.6):
     turn = np.cross(DOWN * inbox.euler_rates[0, 2], offset)
     error = inbox.position_ned[0] + age * velocity + offset - own.position_ned
     for k in range(3):
-        memory.NAME[k] = 0.95 * memory.NAME[k] + 0.05 * closing * error[k]
-    desired = velocity + turn + memory.NAME
+        memory.pull_ned[k] = 0.95 * memory.pull_ned[k] + 0.05 * closing * error[k]
+    desired = velocity + turn + memory.pull_ned
     return command_from_velocity(config, own, desired, inbox.acceleration_ned[0])
 """
 
@@ -127,8 +133,7 @@ def laws(tmp_path_factory):
         return str(folder / f"{name}.yaml")
 
     return {
-        "filtered": write("filtered", FILTERED.replace("NAME", "pull_ned"), "simulation-3"),
-        "wrong": write("wrong", FILTERED.replace("NAME", "pull"), "simulation-3"),
+        "filtered": write("filtered", FILTERED, "simulation-3"),
         "mean": write("mean", MEAN, "simulation-1"),
         "example": str(EXAMPLE),
     }
@@ -253,8 +258,11 @@ def test_margins_need_the_memory_of_a_law(turns):
     assert abs(wrong / right - 1.0) > 1.5 * SHARES["latency_s"]
 
 
-def test_memory_in_wrong_axes_is_refused(laws, turns, monkeypatch):
-    """A vector that turns with the aircraft without `_ned`: its derivatives change in a turn."""
+def test_memory_in_wrong_axes_is_refused(turns, monkeypatch):
+    """A vector that turns with the aircraft and is not known as one by the end of its name.
+
+    Its derivatives change in a turn.
+    """
     found = []
     check = period_map._check_memory
 
@@ -269,9 +277,11 @@ def test_memory_in_wrong_axes_is_refused(laws, turns, monkeypatch):
     monkeypatch.setattr(period_map, "_check_memory", record)
     linearise(turns("filtered", 30.0).flight)
     right, found = max(found), []
-    flight, _ = fly_linearisable(load_scenario(laws["wrong"]), 30.0)
-    with pytest.raises(InputError, match=r"memory pull of uav1 changes .*\(write pull_ned if"):
-        linearise(flight)
+    for module in (follower_state, period_map):
+        monkeypatch.setattr(module, "NED", "_axes")
+    text = r"memory pull_ned of uav1 changes .*\(write pull_ned_axes if"
+    with pytest.raises(InputError, match=text):
+        linearise(turns("filtered", 30.0).flight)
     assert right < 1e-4 < 0.02 < max(found)
 
 
