@@ -25,7 +25,7 @@ from testbed.scenario import load_scenario
 
 MAGIC, CHUNK = 8, 6  # bytes of MCAP's magic, and the opcode of a chunk
 HEAD = struct.Struct("<BQ")  # of a record: opcode, and length of the rest
-CUTS = int(os.environ.get("TESTBED_CUTS", "4"))
+CUTS = int(os.environ.get("TESTBED_CUTS", "2"))
 CHANGES = [
     "scenario.duration_s=60",
     "scenario.windows={early: [5, 12], late: [12, 60]}",

@@ -24,7 +24,7 @@ from testbed.logs.run_directory import LOG_NAME, METRICS_NAME, SCENARIO_NAME
 from testbed.metrics.document import to_json
 from testbed.metrics.observer import MetricsObserver
 
-DIRECTORIES = int(os.environ.get("TESTBED_RUN_DIRECTORIES", "12"))
+DIRECTORIES = int(os.environ.get("TESTBED_RUN_DIRECTORIES", "6"))
 LIMIT_S = 120.0  # of a command on a busy machine: only a command that waits takes so long
 OURS = (LOG_NAME, METRICS_NAME, SCENARIO_NAME, "law.py", "run.csv", RECORD_NAME)
 FOREIGN = (

@@ -24,7 +24,7 @@ from testbed.logs.read import read_log
 from testbed.logs.run_directory import LOG_NAME, METRICS_NAME, SCENARIO_NAME
 from testbed.scenario import load_scenario, set_duration
 
-FAILURES = int(os.environ.get("TESTBED_WRITE_ERRORS", "6"))
+FAILURES = int(os.environ.get("TESTBED_WRITE_ERRORS", "4"))
 ERRORS = (errno.EIO, errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 MOST_BYTES = 400_000
 OUTPUTS = {

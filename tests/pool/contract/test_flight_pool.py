@@ -14,7 +14,7 @@ import golden_scenarios
 import pytest
 import small_study
 import worker_tasks
-from commands import environment
+from commands import SEVERAL, environment
 from places import SHARED
 from waiting import TIMEOUT_S, until
 
@@ -240,16 +240,14 @@ search: {max_flights: 8, population: 4, held_out_seeds: [7, 8, 9]}
 """
 
 
-@pytest.mark.parametrize(
-    "command",
-    [
-        ("sweep", "small.yaml"),
-        ("tune", "tune.yaml"),
-        ("check", "exact.yaml", "--update", "--reason=first", "--seeds=3"),
-    ],
-    ids=lambda words: words[0],
+COMMANDS = (
+    "sweep small.yaml --jobs=1",
+    "tune tune.yaml --jobs=1",
+    "check exact.yaml --update --reason=first --seeds=3 --jobs=1",
 )
-def test_commands_import_nothing_from_the_folder(tmp_path, command):
+
+
+def test_commands_import_nothing_from_the_folder(tmp_path):
     """Only the law of a scenario, which lies beside it."""
     hide(tmp_path)
     shutil.copy(library() / "scenarios" / "integral_action.py", tmp_path / "own.py")
@@ -258,11 +256,12 @@ def test_commands_import_nothing_from_the_folder(tmp_path, command):
     golden_scenarios.write(tmp_path, "exact")
     (tmp_path / "tune.yaml").write_text(TUNE)
     done = subprocess.run(
-        [sys.executable, "-P", "-m", "testbed", *command, "--jobs=1"],
+        [sys.executable, "-P", "-c", SEVERAL, *COMMANDS],
         cwd=tmp_path, env=environment(80), capture_output=True, text=True,
     )  # fmt: skip
     assert not (tmp_path / "ran").exists(), (tmp_path / "ran").read_text()
-    assert done.returncode == 0, done.stderr + done.stdout
+    ends = [line for line in done.stderr.splitlines() if line.startswith("exit ")]
+    assert [end.split()[1] for end in ends] == ["0"] * 3, done.stderr + done.stdout
 
 
 @pytest.mark.parametrize(

@@ -131,7 +131,7 @@ class Routes(NamedTuple):
 @pytest.fixture(scope="module")
 def routes():
     """Four kinds of sensors at four scales of their errors, in straights, turns and climbs."""
-    flight = make_flight(50, (15, 0, 0), (30, 1, 0), (15, 0, 0.15), (20, -1, 0.05))
+    flight = make_flight(50, (8, 0, 0), (15, 1, 0), (8, 0, 0.15), (10, -1, 0.05))
     kind = np.repeat(np.arange(len(KINDS)), len(SCALES))
     scale = np.tile(SCALES, len(KINDS))
     filters = Filters([KINDS[i] for i in kind], flight)

@@ -9,6 +9,7 @@ import pytest
 from commands import environment
 
 from testbed.core import kept_results
+from testbed.core.compile import cache_folder
 from testbed.core.kept_files import Place, open_kept_files
 from testbed.core.records import NedOrigin
 from testbed.scenario import find_aircraft
@@ -145,8 +146,10 @@ print(placed.row.tobytes().hex(), placed.leads.tobytes().hex(), placed.trim)
 
 
 def test_processes_at_once_have_one_result(folder, tmp_path):
-    """They begin with no results, with half of one, and with a folder that cannot be written."""
+    """They begin with machine code and no results, and with half of each result."""
     cache, found = tmp_path / "cache", set()
+    here = cache_folder()
+    shutil.copytree(here, cache / here.name, ignore=shutil.ignore_patterns("result-*"))
 
     def start():
         options = {**environment(80), "NUMBA_CACHE_DIR": str(cache)}
