@@ -6,6 +6,8 @@ from pathlib import Path
 
 from jsbsim import get_default_root_dir as jsbsim_root
 
+TWIN = (r"(<engine .*?</engine>)", r"\1\1")  # a change to two engines
+
 
 def of_jsbsim(name, tmp_path):
     """Copy an aircraft of the installed JSBSim, with all engines and systems."""

@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 from unittest import mock
 
+from aircraft_copies import TWIN, changed
 from places import ROOT
 
 from testbed.compiled import CompiledAircraft
@@ -284,5 +285,6 @@ if __name__ == "__main__":
         name: unequal(make(Path(sys.argv[1]), name, changes)) for name, changes in MADE.items()
     }
     elevons = AIRCRAFT / "skywalker_x8"
+    results["twin"] = unequal(changed(AIRCRAFT / "rascal110", Path(sys.argv[1]), TWIN))
     results["elevons"] = unequal(elevons, JSBSIM_DEFAULT_INTEGRATORS)
     print(json.dumps(results | {name: unequal_with(fault) for name, fault in FAULTS.items()}))

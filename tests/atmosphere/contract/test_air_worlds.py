@@ -143,8 +143,9 @@ def test_model_without_gust_inputs_gives_a_warning(tmp_path):
     text = (folder / "rascal110.xml").read_text().replace("air/q-rad_sec", "other/q-rad_sec")
     (folder / "deaf.xml").write_text(text)
     (folder / "rascal110.xml").unlink()
+    engine = "scenario.engine=jsbsim"  # compiling takes seconds, and does not matter
     page = load_scenario(
-        "simulation-3", [f"fleet.0.aircraft={folder}", "air.turbulence.model=dryden"]
+        "simulation-3", [engine, f"fleet.0.aircraft={folder}", "air.turbulence.model=dryden"]
     )
     events = [
         (note.source, note.text)

@@ -9,7 +9,7 @@ import pytest
 
 from testbed.flight_logs.dataflash import read_messages
 
-TRIES = int(os.environ.get("TESTBED_FRAMES", "10000")) // 10
+TRIES = int(os.environ.get("TESTBED_FRAMES", "5000")) // 10
 SEED = 20261122
 CODES = {
     "c": "h",

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from aircraft_copies import changed, of_jsbsim
+from aircraft_copies import TWIN, changed, of_jsbsim
 
 import testbed
 from testbed.airframes import powerplant
 from testbed.airframes.powerplant import AircraftError
-from testbed.compiled.compiled_fleet import find_engine
+from testbed.compiled.compiled_fleet import untranslated
 from testbed.core.errors import InputError
 from testbed.core.frames import FOOT, GRAVITY
 from testbed.core.records import ActuatorCommand, NedOrigin
@@ -238,14 +238,13 @@ def test_rate_of_incidence_is_no_lag(folders, tmp_path):
     assert placed(changed(folders["c172p"], tmp_path, (pattern, servo))).has_lag
 
 
-def test_electric_twin_is_compiled(tmp_path):
-    """Two motors on one throttle need half of it each, in the compiled model too."""
+def test_electric_twin_is_translated(tmp_path):
+    """Two motors on one throttle need half of it each; `test_compiled_elements` compares it."""
     rascal = library() / "aircraft" / "rascal110"
-    twin = changed(rascal, tmp_path, (r"(<engine .*?</engine>)", r"\1\1"))
+    twin = changed(rascal, tmp_path, TWIN)
     one, two = (trim_aircraft(each, TrimPoint(22.0)) for each in (rascal, twin))
     assert two.controls.throttle == pytest.approx(0.5 * one.controls.throttle, rel=0.3)
-    engine = find_engine(twin, 200)
-    assert engine.compiled is not None, engine.reasons
+    assert untranslated(twin, 200) == ()
 
 
 def test_throttle_step_of_a_jet_spools(folders):

@@ -20,7 +20,7 @@ from mutations import mutate
 from places import SHARED
 from waiting import TIMEOUT_S
 
-MUTATIONS = int(os.environ.get("TESTBED_MUTATIONS", "100"))
+MUTATIONS = int(os.environ.get("TESTBED_MUTATIONS", "60"))
 MAX_LISTED = 20  # faults
 UNCHANGED = 4  # files of a kind tried without mutation; there is one log
 
