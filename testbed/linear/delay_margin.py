@@ -144,7 +144,9 @@ class _MessageLoop:
             if not len(far):
                 break
             self._refine(far)
-        return round(-float(self._turns(periods).sum()) / math.pi)
+        else:
+            turns = self._turns(periods)
+        return round(-float(turns.sum()) / math.pi)
 
     def _turns(self, periods: int) -> Array:
         determinant = self._determinant(periods)

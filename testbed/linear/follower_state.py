@@ -60,6 +60,9 @@ class FollowerStates:
         """Find the numbers of a flight in which all filters have started."""
         self._flight, self.ahead = flight, 0.0
         self._numbers = [list(self._find(i)) for i in range(len(flight.world.followers))]
+        widths = [[len(each.view) for each in one] for one in self._numbers]
+        self._begins = [[0, *np.cumsum(each).tolist()] for each in widths]
+        self._owners = [np.repeat(np.arange(len(each)), each) for each in widths]
         self._attitudes: list[Array | None] = [None] * len(self._numbers)
         self.labels = [tuple(name for each in one for name in each.names) for one in self._numbers]
         self.steps = [np.array([_step_of(name) for name in one]) for one in self.labels]
@@ -96,10 +99,10 @@ class FollowerStates:
 
     def add(self, i: int, change: Array) -> None:
         """Add to the numbers of a follower (S,)."""
-        at = 0
-        for each in self._numbers[i]:
-            each.view[:] += change[at : at + len(each.view)]
-            at += len(each.view)
+        # of a few numbers in most calls
+        for number in set(self._owners[i][np.flatnonzero(change)].tolist()):
+            view, at = self._numbers[i][number].view, self._begins[i][number]
+            view += change[at : at + len(view)]
 
     def frames(self) -> tuple[Array, Array]:
         """Return the rotations (3, 3) from NED, and from inertial axes, to the leader's frame."""

@@ -82,6 +82,7 @@ class InputChanges:
         self._steady: Array | None = None
         self._line = np.zeros((1, n, 3))
         self._late = np.zeros((n, 3))
+        self._places = np.indices((n, 3))  # in the line
 
     def begin(self, steady: Array | None = None) -> None:
         """Begin a flight with this gain and latency.
@@ -169,8 +170,7 @@ class InputChanges:
         line = self._line
         line[1:] = line[:-1].copy()
         line[0] = self.computed
-        whole = self._late.astype(int)
-        rows, columns = np.indices(self._late.shape)
+        whole, (rows, columns) = self._late.astype(int), self._places
         sooner, later = line[whole, rows, columns], line[whole + 1, rows, columns]
         delayed: Array = sooner + (self._late - whole) * (later - sooner)
         return delayed
