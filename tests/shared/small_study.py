@@ -53,7 +53,10 @@ class InThisProcess:
     def submit(self, task):
         self.finished.append(task.number)
         future = Future()
-        result = as_by_a_process(self.fly(as_by_a_process(task)))
+        if self.fly is run_task:  # a made-up result costs less than the copies
+            result = as_by_a_process(run_task(as_by_a_process(task)))
+        else:
+            result = self.fly(task)
         future.set_result(replace(result, depends_on_seed=True) if self.every_seed else result)
         return future
 

@@ -29,7 +29,7 @@ from testbed.studies.plan import Plan, load_study
 from testbed.studies.plan_check import check_plan
 
 SEED = 20261129
-COUNT = int(os.environ.get("TESTBED_KEYS", "5"))
+COUNT = int(os.environ.get("TESTBED_KEYS", "3"))
 # What keys wait for that are read and change nothing in a short flight, by what reads them.
 WAITS = {
     "limits.": "a limit that is exceeded",
