@@ -163,16 +163,19 @@ class _MessageLoop:
             self._responses[link] = np.insert(self._responses[link], after + 1, response, axis=0)
 
     def _determinant(self, periods: int) -> Array:
+        """Return the determinant of one minus the loop, at the frequencies (F,)."""
         maps, size = self._maps, MESSAGE_SIZE
         width = size * len(self._rows)
-        loop = np.zeros((len(self._z), width, width), dtype=complex)
+        difference = np.zeros((len(self._z), width, width), dtype=complex)
+        difference[:, range(width), range(width)] = 1.0
         for (i, j), response in self._responses.items():
             age = maps.periods_late(i, j) + periods
             used = self._extrapolated(i, periods) @ turned_message(age * maps.turn)
             at, of = self._rows.index(i), self._rows.index(j)
-            block = response @ used * self._z[:, np.newaxis, np.newaxis] ** -age
-            loop[:, size * at : size * (at + 1), size * of : size * (of + 1)] = block
-        determinant: Array = np.linalg.det(np.eye(width) - loop)
+            loop = (response.reshape(-1, size) @ used).reshape(response.shape)
+            loop *= self._z[:, np.newaxis, np.newaxis] ** -age
+            difference[:, size * at : size * (at + 1), size * of : size * (of + 1)] -= loop
+        determinant: Array = np.linalg.det(difference)
         return determinant
 
     def _extrapolated(self, i: int, periods: int) -> Array:
