@@ -12,6 +12,7 @@ import pytest
 import yaml
 from commands import call_command, environment
 from places import ROOT
+from small_study import in_this_process
 
 from testbed.core.compile import cache_folder
 from testbed.scenario import library
@@ -46,7 +47,8 @@ def repository(tmp_path_factory):
     (folder / "flights" / "pursuit.yaml").write_text(SCENARIO)
     shutil.copy(library() / "scenarios" / "leader_follower.py", folder / "flights" / "pursuit.py")
     options = ("--update", "--reason", "First flights of our law.", "--jobs", 1)
-    call_command("check", "flights/pursuit.yaml", *options, cwd=folder, code=0, columns=100)
+    with in_this_process():
+        call_command("check", "flights/pursuit.yaml", *options, cwd=folder, code=0, columns=100)
     return folder
 
 
