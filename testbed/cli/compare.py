@@ -16,6 +16,7 @@ from testbed.cli.output import (
     MISSING,
     PipeSafeConsole,
     describe_file,
+    print_side_effects,
     result_console,
     write_json_output,
 )
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from testbed.logs.read import RunLog
 
 MAX_LINES = 12  # of differences of the scenarios, and of versions
+WORSE = "worse in the second run", ("first", "second")
 
 
 def compare_command(
@@ -110,6 +112,7 @@ def _draw(path: Path, names: Sequence[str]) -> None:
         InputError: there is no such run, the runs have nothing in common, or the file cannot be
             written.
     """
+    from testbed.golden.compare_runs import run_side_effects
     from testbed.reports import compare_figure, read_run, run_labels
     from testbed.reports.figure_spec import PAPER_TEXT_PT
     from testbed.views.matplotlib_backend import save_figure
@@ -123,6 +126,7 @@ def _draw(path: Path, names: Sequence[str]) -> None:
     for label, run, style in zip(labels, (first, second), ("solid", "dashed"), strict=True):
         console.write_line(f" {style:10}{label}: {run.path}")
     console.write_line(f" {'figure':10}{describe_file(path)}")
+    print_side_effects(console, run_side_effects(first.metrics, second.metrics), *WORSE)
 
 
 def _read(path: Path) -> RunLog:
@@ -155,6 +159,9 @@ def _print_comparison(
         table.add_row(f" {label}", *values, style=style)
     console.print(table)
     console.write_line()
+    print_side_effects(console, found.side_effects, *WORSE)
+    if found.side_effects:
+        console.write_line()
     console.write_line(f" {'motion':10}{_motion(found)}")
     for each in found.positions:
         if each.first_s is not None:
@@ -199,6 +206,8 @@ def _verdict(found: RunDifference) -> str:
 
 
 def _document(found: RunDifference, paths: Sequence[Path]) -> dict[str, Any]:
+    from testbed.metrics.side_effects import to_document
+
     first, second = paths
     return {
         "same": found.same,
@@ -213,6 +222,7 @@ def _document(found: RunDifference, paths: Sequence[Path]) -> dict[str, Any]:
         "same_samples": found.same_samples,
         "same_events": found.same_events,
         "shared_samples": int(found.shared_s.size),
+        "worse": to_document(found.side_effects),
         "position_differences": [asdict(each) for each in found.positions],
     }
 

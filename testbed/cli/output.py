@@ -28,6 +28,7 @@ from testbed.core.files import (
 )
 
 if TYPE_CHECKING:
+    from testbed.metrics.side_effects import SideEffects
     from testbed.views.panels import PanelGrid
 
 MISSING = "–"  # in a cell without a number
@@ -126,6 +127,31 @@ def ruled_table(*columns: str, left: Sequence[str] = ()) -> Table:
         side: Literal["left", "right"] = "left" if first or name in left else "right"
         table.add_column(Text(name, "bold" if first else ""), justify=side, no_wrap=True)
     return table
+
+
+def print_side_effects(
+    console: PipeSafeConsole, found: SideEffects, title: str, names: tuple[str, str]
+) -> None:
+    """Print what got worse, if anything did or there are too few seeds to know.
+
+    Args:
+        console: of the results.
+        found: what got worse.
+        title: of the table, before what it is based on.
+        names: headings of the flights before and after.
+    """
+    if not found:
+        return
+    console.write_line(f" {title}, {found.basis}", "bold yellow")
+    if not found.worse:
+        return
+    table = Table(box=None, header_style="bold", pad_edge=False, style="yellow")
+    table.add_column(" ")
+    for heading in (*names, "difference"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for quantity, cells in ((each.quantity, each.cells) for each in found.worse):
+        table.add_row(f" {quantity.label}", *cells)
+    console.print_table(table)
 
 
 def save_plot(plot: PanelGrid, path: Path) -> None:

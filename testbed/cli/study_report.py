@@ -90,7 +90,6 @@ def study_report_command(
     """Write a report of a study: results, effects of parameters, losses, commands to repeat."""
     from testbed.logs.file_record import check_folder_output, record_folder_output
     from testbed.reports.study import (
-        latex_table,
         study_figures,
         study_page,
         study_tables,
@@ -117,6 +116,7 @@ def study_report_command(
     listed = list(study_tables(data)) if tables else []
     if tables:
         check_folder_output(tables, map(table_file, listed), f"--tables {tables}")
+    table = _latex(data, latex)
     page = study_page(data)
     write_json_output(json, _document(data))
     console = result_console(json)
@@ -126,13 +126,29 @@ def study_report_command(
         write_figures(drawn, figures, ending, console, titled=not no_title, width_in=width)
     if latex:
         with report_write_errors(f"--latex {latex}"), write_text_file(latex) as file:
-            file.write(latex_table(data))
+            file.write(table)
         console.write_line(f" LaTeX    {describe_file(latex)}")
     if tables:
         with report_write_errors(f"--tables {tables}"):
             files = write_tables(listed, tables)
         record_folder_output(tables, [each.name for each in files])
         console.write_line(f" tables   {len(files)} in {tables}")
+
+
+def _latex(study: StudyData, path: Path | None) -> str:
+    """Return the table of --latex; "" without it.
+
+    Raises:
+        InputError: the study is a map, which has none.
+    """
+    from testbed.reports.study import latex_table
+
+    if path is None:
+        return ""
+    try:
+        return latex_table(study)
+    except InputError as error:
+        raise InputError(f"--latex {path}: {error}") from None
 
 
 def find_study_file(name: str) -> Path:

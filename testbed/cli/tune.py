@@ -11,11 +11,19 @@ import typer
 from rich.table import Table
 
 from testbed.cli.options import Jobs, JsonFile, tune_names, value_option
-from testbed.cli.output import PipeSafeConsole, message_console, result_console, write_json_output
+from testbed.cli.output import (
+    PipeSafeConsole,
+    message_console,
+    print_side_effects,
+    result_console,
+    write_json_output,
+)
 
 if TYPE_CHECKING:
-    from testbed.tuning.tune import TuneProblem, TuneResult
+    from testbed.tuning.tune import TuneResult
+    from testbed.tuning.tuning import HeldOutTest, Tuning
 
+NAMES = "before", "after"  # the gains
 AT_BOUND = 0.02  # of the range between the bounds
 
 
@@ -42,43 +50,46 @@ def tune_command(
     from testbed.cli.progress import progress_counter
     from testbed.logs.run_directory import create_run_directory
     from testbed.studies.table import STUDIES
-    from testbed.tuning.tune import GAINS_FILE, SCENARIO, TuneProblem, to_document, tune_gains
-    from testbed.tuning.tune_schema import load_tune
+    from testbed.tuning.tune import GAINS_FILE, SCENARIO, to_document, tune_gains
+    from testbed.tuning.tuning import Tuning
 
-    problem = TuneProblem(load_tune(tune))
     messages = message_console()
-    directory = create_run_directory(problem.tune.study.name, out=out, logs=STUDIES)
-    messages.write_line(f" {_announcement(problem)}")
+
+    def report(text: str) -> None:
+        messages.write_line(f" {text}")
+
+    tuning = Tuning(tune, jobs=jobs, report=report)
+    directory = create_run_directory(tuning.tune.study.name, out=out, logs=STUDIES)
+    messages.write_line(f" {_announcement(tuning)}")
     try:
         with progress_counter("flights", rate="flights") as progress:
             result = tune_gains(
-                problem,
+                tuning,
                 directory,
-                jobs=jobs,
                 progress=progress,
-                report=lambda text: messages.write_line(f" {text}"),
+                report=report,
             )
     except KeyboardInterrupt:
         files = [name for name in (SCENARIO, GAINS_FILE) if (directory / name).is_file()]
         best = f"; the best gains are in {', '.join(files)}" if files else ""
         messages.write_line(f" interrupted: results so far are in {directory}{best}")
         raise
-    found = to_document(result, problem)
+    found = to_document(result, tuning)
     write_json_output(json, found)
-    _print_result(result, problem, found, result_console(json))
+    _print_result(result, tuning, found, result_console(json))
 
 
-def _announcement(problem: TuneProblem) -> str:
-    config = problem.tune.config
+def _announcement(tuning: Tuning) -> str:
+    config = tuning.tune.config
     return (
-        f"{problem.tune.study.name}: {len(config.gains)} gains, {len(problem.runs)} flights for "
+        f"{tuning.tune.study.name}: {len(config.gains)} gains, {len(tuning.runs)} flights for "
         f"each candidate, at most {config.search.max_flights} flights, then "
         f"{len(config.held_out_seeds)} held-out seeds"
     )
 
 
 def _print_result(
-    result: TuneResult, problem: TuneProblem, found: Mapping[str, Any], console: PipeSafeConsole
+    result: TuneResult, tuning: Tuning, found: Mapping[str, Any], console: PipeSafeConsole
 ) -> None:
     from testbed.tuning.tune import GAINS_FILE, RESULT, SCENARIO
     from testbed.tuning.tune_schema import GAINS
@@ -88,14 +99,14 @@ def _print_result(
     for heading in ("lower bound", "upper bound", "before", "after"):
         table.add_column(heading, justify="right")
     table.add_column("")
-    positions = problem.space.point(result.best.gains)
+    positions = tuning.space.point(result.best.gains)
     for position, (key, gain) in zip(positions, found["gains"].items(), strict=True):
         note = "at its bound" if not AT_BOUND < position < 1.0 - AT_BOUND else ""
         numbers = (gain[name] for name in ("from", "to", "before", "after"))
         table.add_row(key.removeprefix(GAINS), *(f"{each:.4g}" for each in numbers), note)
     console.write_line()
     console.print_table(table)
-    cost, comparison = found["cost"], found["comparison"]
+    cost, held_out = found["cost"], result.held_out
     console.write_line()
     console.write_line(
         f" {found['aggregate']} of {found['metric']} over seeds {_seed_ranges(found['seeds'])}: "
@@ -107,33 +118,38 @@ def _print_result(
     console.write_line(f" {result.flights} flights: {result.stop_reason}")
     if result.best.evaluation.shortfall:
         console.write_line(" no candidate meets the constraints", "bold yellow")
-    if comparison is None:
+    if held_out is None:
         console.write_line(" no better gains were found, and no gains were written")
     else:
-        _print_comparison(comparison, found["held_out_seeds"], console)
+        _print_comparison(held_out, found["held_out_seeds"], console)
         for name in (SCENARIO, GAINS_FILE):
             if (result.directory / name).is_file():
                 console.write_line(f" {name:16} {result.directory / name}")
     console.write_line(f" {RESULT:16} {result.directory / RESULT}")
 
 
-def _print_comparison(
-    comparison: Mapping[str, Any], seeds: list[int], console: PipeSafeConsole
-) -> None:
-    difference = comparison["difference"]
+def _print_comparison(held_out: HeldOutTest, seeds: list[int], console: PipeSafeConsole) -> None:
+    comparison = held_out.comparison
+    change = comparison.change
     line = f" held-out seeds {_seed_ranges(seeds)}: "
-    if comparison["pairs"]:
-        line += f"{comparison['before']:.4g} before, {comparison['after']:.4g} after"
-        if difference["low"] is not None and math.isfinite(difference["low"]):
+    if comparison.pairs:
+        line += f"{change.before:.4g} before, {change.after:.4g} after"
+        if math.isfinite(change.low):
             line += (
-                f"; difference {difference['mean']:+.4g}, 95 % interval "
-                f"[{difference['low']:+.4g}, {difference['high']:+.4g}]"
+                f"; difference {change.mean:+.4g}, 95 % interval "
+                f"[{change.low:+.4g}, {change.high:+.4g}]"
             )
-    failed = comparison["failed_before"], comparison["failed_after"]
+    failed = comparison.failed_before, comparison.failed_after
     line += f"; failed {failed[0]} before, {failed[1]} after" if any(failed) else ""
     console.write_line(line)
-    color = "green" if comparison["better"] else "yellow"
-    console.write_line(f" {comparison['verdict']}", f"bold {color}")
+    color = "green" if comparison.better else "yellow"
+    console.write_line(f" {comparison.verdict}", f"bold {color}")
+    print_side_effects(console, held_out.side_effects, "worse with the new gains", NAMES)
+    for each in held_out.margins:
+        where = f"at {each.bank_deg:g}° of bank" if each.bank_deg else "in straight flight"
+        if each.problem:
+            console.write_line(f" margins {where} are not predicted: {each.problem}", "dim")
+        print_side_effects(console, each.side_effects, f"smaller margins {where}", NAMES)
 
 
 def _seed_ranges(seeds: list[int]) -> str:

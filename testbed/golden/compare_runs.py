@@ -16,6 +16,7 @@ from testbed.golden.golden_table import RULES, row_label, table_numbers
 from testbed.logs.read import RunLog
 from testbed.metrics.document_check import check_metrics
 from testbed.metrics.model import Metrics
+from testbed.metrics.side_effects import SideEffects, flight_numbers, side_effects, to_columns
 from testbed.pool.scenario_snapshot import differences
 from testbed.scenario import loads
 from testbed.scenario.arguments import check_not_negative
@@ -66,6 +67,7 @@ class RunDifference:
     shared_s: Array  # (K,) times of the common samples
     positions: tuple[PositionDifference, ...]
     tolerance: float | None  # relative, of metrics; None: runs must be equal to the last bit
+    side_effects: SideEffects  # what is worse in the second run
 
     @property
     def same(self) -> bool:
@@ -106,7 +108,15 @@ def compare_runs(first: RunLog, second: RunLog, *, tolerance: float | None = Non
         shared_s=first.time_s[i],
         positions=_position_differences(first, second, i, j),
         tolerance=tolerance,
+        side_effects=run_side_effects(*documents),
     )
+
+
+def run_side_effects(first: Metrics, second: Metrics) -> SideEffects:
+    """Return what is worse in the second run, of one flight each."""
+    one = np.zeros(1, dtype=np.int64)
+    old, new = (to_columns([flight_numbers(each)]) for each in (first, second))
+    return side_effects(old, new, one, one)
 
 
 def _metrics(log: RunLog) -> Metrics:

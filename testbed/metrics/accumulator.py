@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from enum import IntFlag
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -192,6 +193,8 @@ class Accumulator:
         self.min_separation = np.inf  # m
         self.min_separation_tick = NEVER
         self.min_separation_pair = (NEVER, NEVER)  # rows of the aircraft
+        self.window_min_separation = np.full(p, np.inf)  # m
+        self.min_separation_outside = np.inf  # m, of the samples in no window
         # limits
         self.limited_samples = _counts(n)  # with any limiter flag
         self.limiter_samples = _counts(n, len(LimiterFlag))
@@ -269,8 +272,11 @@ class Accumulator:
         self.last_tick = int(block.tick[-1])
         self.samples += (~lost).sum(axis=0)
         self.slot_samples += (~no_slot).sum(axis=0)
-        self._add_errors(block, no_slot)
-        self._add_separation(block)
+        # samples are in the order of time, so those of a window are neighbours
+        cuts = np.searchsorted(block.tick / self._base_rate_hz, self._spans).tolist()
+        parts = [slice(first, last) for first, last in cuts]
+        self._add_errors(block, no_slot, parts)
+        self._add_separation(block, parts)
         self._add_limits(block)
         self._add_slot_motion(block)
         self._add_wind(block)
@@ -278,16 +284,13 @@ class Accumulator:
         if not block.exact.all():
             self._add_estimates(block, lost)
 
-    def _add_errors(self, block: SampleBlock, no_slot: BoolArray) -> None:
+    def _add_errors(self, block: SampleBlock, no_slot: BoolArray, parts: Sequence[slice]) -> None:
         error = _length(block.error_ned)
         offset = _length(block.slot_ned - block.position_ned[:, :1])
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = np.where(no_slot, 0.0, error / offset)
         bank = np.abs(block.bank[:, 0])
-        # samples are in the order of time, so those of a window are neighbours
-        cuts = np.searchsorted(block.tick / self._base_rate_hz, self._spans).tolist()
-        parts = [slice(first, last) for first, last in cuts]
-        self.window_samples += np.array([last - first for first, last in cuts], dtype=np.int64)
+        self.window_samples += np.array([each.stop - each.start for each in parts], dtype=np.int64)
         self.window_slot_samples += _sums(~no_slot, parts).astype(np.int64)
         square = square_estimated = _sums(error**2, parts)
         if not block.exact.all():
@@ -316,11 +319,18 @@ class Accumulator:
         self.joined_tick = np.where(joining, first, self.joined_tick)
         self.in_slot_since = since[-1]
 
-    def _add_separation(self, block: SampleBlock) -> None:
-        separation, row, pair = _closest(block.position_ned)
-        if separation < self.min_separation:
-            self.min_separation, self.min_separation_pair = separation, pair
-            self.min_separation_tick = int(block.tick[row])
+    def _add_separation(self, block: SampleBlock, parts: Sequence[slice]) -> None:
+        ends = {0, len(block.tick), *(end for each in parts for end in (each.start, each.stop))}
+        for first, last in pairwise(sorted(ends)):
+            separation, row, pair = _closest(block.position_ned[first:last])
+            if separation < self.min_separation:
+                self.min_separation, self.min_separation_pair = separation, pair
+                self.min_separation_tick = int(block.tick[first + row])
+            within = [k for k, each in enumerate(parts) if each.start <= first < each.stop]
+            for k in within:
+                self.window_min_separation[k] = min(self.window_min_separation[k], separation)
+            if not within:
+                self.min_separation_outside = min(self.min_separation_outside, separation)
 
     def _add_limits(self, block: SampleBlock) -> None:
         saturated = block.saturations != 0

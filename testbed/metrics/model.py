@@ -81,6 +81,7 @@ class WindowMetrics(SlotSpeed):
     percent_error: Known
     max_error_m: ByFollower[Known]
     leader_bank_deg: Known
+    min_separation_m: NotRequired[Known]  # earlier logs do not have it
 
 
 class LimiterFlagCounts(TypedDict):
@@ -286,6 +287,7 @@ class Metrics(SlotSpeed):
     min_separation_m: Known
     min_separation_at_s: Known
     min_separation_between: list[str] | None
+    min_separation_outside_windows_m: NotRequired[Known]  # earlier logs do not have it
     lost_at_s: ByAircraft[Known]
     joined_at_s: ByFollower[Known]
     max_error_m: ByFollower[Known]

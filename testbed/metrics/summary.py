@@ -59,6 +59,7 @@ def summarise(
         "min_separation_m": _number(total.min_separation),
         "min_separation_at_s": _time(total.min_separation_tick, info),
         "min_separation_between": closest,
+        "min_separation_outside_windows_m": _number(total.min_separation_outside),
         "lost_at_s": _times(total.lost_tick, info.names, info),
         "joined_at_s": _times(total.joined_tick, followers, info),
         "max_error_m": _by_name(total.max_error, followers),
@@ -115,6 +116,7 @@ def _window(total: Accumulator, p: int, span: tuple[float, float], info: RunInfo
         "percent_error": None,
         "max_error_m": nothing,
         "leader_bank_deg": None,
+        "min_separation_m": _number(total.window_min_separation[p]),
         **_slot_speed(total.window_min_speed[p], total.window_max_speed[p], info),
     }
     if count:

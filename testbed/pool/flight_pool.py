@@ -165,6 +165,54 @@ class FlightPool:
         return FlightResult(task.number, FAILED, f"failed: {type(error).__name__}: {error}", None)
 
 
+class FlightWorkers:
+    """Worker processes that start when they are first needed.
+
+    Args:
+        jobs: processes on this machine; default one for each available processor.
+        backend: "joblib" for this machine, "dask" for a cluster.
+        scheduler: address of the cluster's scheduler.
+        report: called with a line when workers compile kernels, once.
+    """
+
+    def __init__(
+        self,
+        jobs: int | None = None,
+        backend: str = "joblib",
+        scheduler: str | None = None,
+        report: Callable[[str], None] = lambda line: None,
+    ) -> None:
+        self._choice = jobs, backend, scheduler
+        self._report = report
+        self._workers: WorkerPool | None = None
+
+    @contextmanager
+    def pool(self, *, keep: bool = False) -> Iterator[FlightPool]:
+        """Return the pool for a block; see `open_flight_pool`.
+
+        Args:
+            keep: whether the processes stay for the next block, unless this one raises an error.
+
+        Raises:
+            InputError: the backend is unknown, or the cluster cannot be reached.
+        """
+        with stop_on_signals() as stop:
+            self._workers = self._workers or _open_workers(*self._choice)
+            done = False
+            try:
+                yield FlightPool(self._workers, stop, self._report)
+                done = True
+            finally:
+                if not (done and keep):
+                    stop.without_interruption(self.close)
+
+    def close(self) -> None:
+        """End the processes."""
+        workers, self._workers = self._workers, None
+        if workers is not None:
+            workers.shutdown()
+
+
 @contextmanager
 def open_flight_pool(
     *,
@@ -179,20 +227,16 @@ def open_flight_pool(
     another one more than a second later raises it anywhere.
 
     Args:
-        jobs: processes on this machine; default one for each available processor.
-        backend: "joblib" for this machine, "dask" for a cluster.
-        scheduler: address of the cluster's scheduler.
-        report: called with a line when workers compile kernels, once.
+        jobs: see `FlightWorkers`.
+        backend: see there.
+        scheduler: see there.
+        report: see there.
 
     Raises:
         InputError: the backend is unknown, or the cluster cannot be reached.
     """
-    with stop_on_signals() as stop:
-        workers = _open_workers(jobs, backend, scheduler)
-        try:
-            yield FlightPool(workers, stop, report)
-        finally:
-            stop.without_interruption(workers.shutdown)
+    with FlightWorkers(jobs, backend, scheduler, report).pool() as pool:
+        yield pool
 
 
 def _open_workers(jobs: int | None, backend: str, scheduler: str | None) -> WorkerPool:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import fcntl
 import json
-import math
 import os
 import stat
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -20,35 +19,13 @@ from typing import Any, BinaryIO
 from testbed.core.errors import InputError
 from testbed.core.files import report_write_errors
 from testbed.core.input_files import parse_json_map
+from testbed.metrics.flat_numbers import Numbers
 from testbed.pool.flight_task import OUTCOMES
 
 METRICS = "metrics."  # prefix of columns with numbers of metrics.json
 SET = "set."  # prefix of columns with the keys that vary
 
-# Metrics without a column: settings, texts and lists of varying length, and numbers that depend
-# on the machine, on the wall clock or on external programs.
-_LEFT_OUT = (
-    ("schema",),
-    ("scenario",),
-    ("seed",),
-    ("versions",),
-    ("engine",),
-    ("outcome",),
-    ("wall_s",),
-    ("real_time_factor",),
-    ("published",),
-    ("events",),
-    ("expect", "bounds"),
-    ("pace",),
-    ("mavlink",),
-    ("arduplane",),
-    ("commanded",),
-    ("min_separation_between",),
-    ("network", "links"),
-    ("network", "all", "bursts", "lengths"),
-)
 _ERROR = ".mean_rms_m"
-Numbers = Mapping[str, float | None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,31 +47,10 @@ class JournalRow:
     any_seed: bool = False
 
 
-def flatten_metrics(metrics: Mapping[str, Any]) -> dict[str, float | None]:
-    """Return the reproducible numbers of a metrics document, by name.
-
-    A name is the keys joined by dots; elements of a list are counted from 0.
-    """
-    return dict(_leaves(metrics, ()))
-
-
 def default_metric(names: Iterable[str]) -> tuple[str, ...]:
     """Return the name of the last window's mean RMS error, if any."""
     errors = [name for name in names if name.startswith("windows.") and name.endswith(_ERROR)]
     return tuple(errors[-1:])
-
-
-def _leaves(value: Any, path: tuple[str, ...]) -> Iterator[tuple[str, float | None]]:  # noqa: ANN401
-    if path in _LEFT_OUT:
-        return
-    if isinstance(value, Mapping):
-        for key, child in value.items():
-            yield from _leaves(child, (*path, str(key)))
-    elif isinstance(value, list | tuple):
-        for index, child in enumerate(value):
-            yield from _leaves(child, (*path, str(index)))
-    elif value is None or (isinstance(value, int | float) and not isinstance(value, bool)):
-        yield ".".join(path), None if value is None or not math.isfinite(value) else float(value)
 
 
 SCHEMA = 2

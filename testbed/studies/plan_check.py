@@ -7,6 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from testbed.core.errors import InputError
+from testbed.metrics.flat_numbers import flatten_metrics
 from testbed.metrics.names import run_numbers
 from testbed.plan.code_check import check_code, code_names
 from testbed.plan.scenario_files import referents
@@ -16,7 +17,6 @@ from testbed.scenario.problems import Problem, ScenarioError, did_you_mean, merg
 from testbed.scenario.reference_fields import Reference
 from testbed.scenario.set_keys import KeyUse
 from testbed.scenario.yaml_io import walk
-from testbed.studies.journal import flatten_metrics
 from testbed.studies.plan import Plan, Study, StudyRun
 from testbed.studies.predicted_numbers import predicted_names
 from testbed.studies.study_schema import Value
@@ -208,7 +208,8 @@ def describe_unknown(name: str, known: Sequence[str]) -> str:
     near = "" if below else did_you_mean(name, known)
     last = name.rpartition(".")[2]
     alike = below or [each for each in known if each.rpartition(".")[2] == last]
-    alike = alike or [each for each in known if each.endswith(_EXAMPLES)] or list(known)
+    alike = alike or [each for end in _EXAMPLES for each in known if each.endswith(end)]
+    alike = alike or list(known)
     more = ", …" if len(alike) > MAX_NAMED else ""
     return (
         f"no run has a number {name!r}{near} (write for example {', '.join(alike[:MAX_NAMED])}"

@@ -21,6 +21,7 @@ from typing import Any
 from testbed.core.errors import InputError
 from testbed.metrics.document import initial_warnings
 from testbed.metrics.expectations import bound_key, violations
+from testbed.metrics.flat_numbers import flatten_metrics
 from testbed.plan.scenario_files import file_digests
 from testbed.plan.world import versions
 from testbed.pool.dask_workers import cluster_notices
@@ -37,7 +38,7 @@ from testbed.scenario.arguments import (
     check_path,
 )
 from testbed.scenario.problems import ScenarioError
-from testbed.studies.journal import Journal, JournalRow, flatten_metrics
+from testbed.studies.journal import Journal, JournalRow
 from testbed.studies.plan import Plan, Study, load_study
 from testbed.studies.plan_check import CheckedPlan, check_plan
 from testbed.studies.predicted_numbers import predict_numbers

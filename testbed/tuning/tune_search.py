@@ -22,13 +22,14 @@ import numpy as np
 from testbed.core.errors import needs_extra
 from testbed.core.random import named_stream
 from testbed.core.records import Array
-from testbed.core.stats import student_interval
 from testbed.metrics.document import EXCEEDED, errors
+from testbed.metrics.side_effects import NO_CHANGE, PairedChange, change_of
 from testbed.pool.flight_task import COMPLETED, LOST
 from testbed.tuning.tune_constraints import ConstraintResult
 from testbed.tuning.tune_schema import Aggregate, GainBounds, MeanPlusSd, Quantile, Search
 
 Metrics = Mapping[str, Any]
+PRINTED_DIGITS = 4  # of a metric
 SATURATION_FACTOR = 10.0  # B over the worst flight with the gains of the scenario, by default
 
 
@@ -100,56 +101,63 @@ class HeldOutComparison:
 
     Args:
         pairs: flights completed with both gains.
-        seeds: seeds with such a pair.
-        before: mean of the metric over these seeds.
-        after: the same with the tuned gains.
-        difference: after minus before: mean, low and high of Student's interval over seeds.
+        change: of the metric, averaged over these seeds.
         failed_before: flights that were not completed before.
         failed_after: and after.
     """
 
     pairs: int
-    seeds: int
-    before: float
-    after: float
-    difference: tuple[float, float, float]
+    change: PairedChange
     failed_before: int
     failed_after: int
 
     @property
+    def sign(self) -> int:
+        """1 if the metric is larger beyond noise, -1 if it is smaller; 0: neither."""
+        largest = max(self.change.before, self.change.after)
+        digits = math.floor(math.log10(largest)) if largest > 0.0 else 0
+        return self.change.sign(10.0 ** (digits - PRINTED_DIGITS + 1))
+
+    @property
     def better(self) -> bool:
-        """Return whether the interval is below 0 and no more flights failed."""
-        return self.difference[2] < 0.0 and self.failed_after <= self.failed_before
+        """Return whether the metric is smaller beyond noise and no more flights failed."""
+        return self.sign < 0 and self.failed_after <= self.failed_before
 
     @property
     def verdict(self) -> str:
         """The result as a sentence."""
-        mean, low, _ = self.difference
+        change = self.change
         if not self.pairs:
             return "not shown to be better: no flight was completed with both gains"
-        if math.isnan(low):
-            return f"not shown to be better: {self.seeds} seeds are too few"
-        share = f"{abs(100.0 * mean / self.before):.0f} %" if self.before > 0.0 else "–"
+        if change.too_few:
+            return f"not shown to be better: {change.units} seeds are too few"
+        share = f"{abs(100.0 * change.mean / change.before):.0f} %" if change.before > 0.0 else "–"
+        on = "in one flight" if change.one_flight else "on held-out seeds"
+        same = ": no seed changes it, so nothing is held out" if change.one_flight else ""
         if self.better:
-            return f"better on held-out seeds, by {share}"
-        if low > 0.0:
-            return f"worse on held-out seeds, by {share}"
+            return f"better {on}, by {share}{same}"
+        if self.sign > 0:
+            return f"worse {on}, by {share}{same}"
         if self.failed_after > self.failed_before:
             return (
                 f"not shown to be better: {self.failed_after} failed, {self.failed_before} before"
             )
-        return "not shown to be better on held-out seeds: the interval contains 0"
+        reason = f"{on}{same}" if change.one_flight else f"{on}: the interval contains 0"
+        return f"not shown to be better {reason}"
 
 
 MetricsBySeed = Mapping[int, Sequence[float | None]]
 
 
-def compare_held_out(before: MetricsBySeed, after: MetricsBySeed) -> HeldOutComparison:
+def compare_held_out(
+    before: MetricsBySeed, after: MetricsBySeed, *, one_flight: bool = False
+) -> HeldOutComparison:
     """Compare gains flight by flight; a seed counts once, with the mean over its pairs.
 
     Args:
         before: by seed, the metric of each flight; None for one that was not completed.
         after: the same seeds and flights with other gains.
+        one_flight: whether all seeds have the same flights.
     """
     means: list[tuple[float, float]] = []
     pairs = 0
@@ -169,17 +177,14 @@ def compare_held_out(before: MetricsBySeed, after: MetricsBySeed) -> HeldOutComp
         for found in (before, after)
     ]
     if not means:
-        nothing = (math.nan, math.nan, math.nan)
-        return HeldOutComparison(0, 0, math.nan, math.nan, nothing, failed[0], failed[1])
-    return HeldOutComparison(
-        pairs,
-        len(means),
+        return HeldOutComparison(0, NO_CHANGE, failed[0], failed[1])
+    change = change_of(
         statistics.fmean(old for old, _ in means),
         statistics.fmean(new for _, new in means),
-        student_interval(np.array([new - old for old, new in means])),
-        failed[0],
-        failed[1],
+        np.array([new - old for old, new in means]),
+        one_flight=one_flight,
     )
+    return HeldOutComparison(pairs, change, failed[0], failed[1])
 
 
 DIGITS = 4  # of a gain
@@ -252,31 +257,47 @@ class Candidate:
 
 
 class GainSpace:
-    """Maps gains between their bounds to the unit cube."""
+    """Gains with their bounds, which it maps to the unit cube.
 
-    def __init__(self, bounds: Mapping[str, GainBounds]) -> None:
-        self._log = np.array([each.scale == "log" for each in bounds.values()])
-        self._low = self._scale([each.low for each in bounds.values()])
-        self._high = self._scale([each.high for each in bounds.values()])
-        self._bounds = [(each.low, each.high) for each in bounds.values()]
+    Attributes:
+        names: keys of the scenario, n of them.
+        bounds: (n, 2) lower and upper.
+        scale: "linear", or "log" where ratios matter.
+        start: (n,) where a search begins.
+    """
 
-    def _scale(self, gains: Sequence[float]) -> Array:
+    def __init__(self, gains: Mapping[str, GainBounds], start: Sequence[float]) -> None:
+        """Use the gains of a tuning file.
+
+        Args:
+            gains: bounds by name.
+            start: (n,).
+        """
+        self.names = tuple(gains)
+        self.bounds = np.array([(each.low, each.high) for each in gains.values()])
+        self.scale = tuple(each.scale for each in gains.values())
+        self.start = np.clip(start, *self.bounds.T)
+        self._low, self._high = (self._scaled(column) for column in self.bounds.T)
+
+    def _scaled(self, gains: Sequence[float] | Array) -> Array:
         return np.array(
-            [math.log(gain) if log else gain for gain, log in zip(gains, self._log, strict=True)]
+            [
+                math.log(gain) if scale == "log" else gain
+                for gain, scale in zip(gains, self.scale, strict=True)
+            ]
         )
 
-    def point(self, gains: Sequence[float]) -> Array:
-        """Return the point (n,) of gains, which are clamped to the bounds."""
-        clamped = [min(max(g, a), b) for g, (a, b) in zip(gains, self._bounds, strict=True)]
-        return np.asarray((self._scale(clamped) - self._low) / (self._high - self._low))
+    def point(self, gains: Sequence[float] | Array) -> Array:
+        """Return the point (n,) from 0 to 1 of gains (n,), which are clamped to the bounds."""
+        scaled = self._scaled(np.clip(gains, *self.bounds.T))
+        return np.asarray((scaled - self._low) / (self._high - self._low))
 
-    def gains(self, point: Array) -> Gains:
-        """Return the gains at a point (n,), rounded to `DIGITS` digits, inside the bounds."""
-        scaled = self._low + point * (self._high - self._low)
-        exact = np.where(self._log, np.exp(scaled), scaled)
-        rounded = (float(f"{each:.{DIGITS}g}") for each in exact)
-        each = zip(rounded, self._bounds, strict=True)
-        return tuple(min(max(gain, low), high) for gain, (low, high) in each)
+    def gains(self, point: Sequence[float] | Array) -> Gains:
+        """Return the gains at a point (n,), rounded to four digits, inside the bounds."""
+        scaled = self._low + np.asarray(point) * (self._high - self._low)
+        exact = np.where(np.array(self.scale) == "log", np.exp(scaled), scaled)
+        rounded = [float(f"{each:.{DIGITS}g}") for each in exact]
+        return tuple(np.clip(rounded, *self.bounds.T).tolist())
 
 
 def default_population(n: int) -> int:
@@ -343,7 +364,6 @@ class CmaEs:
 
 def search(
     space: GainSpace,
-    start: Gains,
     evaluate: Evaluate,
     *,
     settings: Search,
@@ -354,14 +374,13 @@ def search(
     The result depends on the costs and on `settings` only.
 
     Args:
-        space: of the gains.
-        start: gains around which the first generation is.
+        space: of the gains, with the start around which the first generation is.
         evaluate: returns what each set of gains costs.
         settings: of the search.
         generations: at most.
     """
     strategy = CmaEs(
-        space.point(start),
+        space.point(space.start),
         initial_step=settings.initial_step,
         population=settings.population,
         seed=settings.seed,

@@ -29,8 +29,8 @@ from testbed.reports.study.study_data import (
     Parameter,
     StudyData,
     axis_label,
+    estimate_of,
     format_level,
-    mean_estimate,
     metric_title,
     metric_words,
     wrap_key,
@@ -159,7 +159,7 @@ def _heat_map(
 def cases(study: StudyData, metric: str) -> FigureSpec | None:
     """Draw every case with its interval, and its difference from the first; also at each point."""
     flights = study.flights
-    if len(flights.cases) < 2:
+    if len(flights.cases) < 2 or study.is_map:  # the points of a map are chosen unevenly
         return None
     first, count = flights.cases[0], min(len(flights.cases), len(STYLES))
     places = _places(study)
@@ -179,7 +179,7 @@ def cases(study: StudyData, metric: str) -> FigureSpec | None:
         label = "" if one_row_each else name
         values += _interval_lines(estimates, rows, *style, label=label)
         if k:
-            pairs = [mean_estimate(study.differences(metric, k, here)) for _, here in places]
+            pairs = [estimate_of(study.change(metric, k, here)) for _, here in places]
             differences += _interval_lines(pairs, rows, *style, label=label)
     if one_row_each:
         ticks = [(float(-k), name) for k, name in enumerate(flights.cases[:count])]

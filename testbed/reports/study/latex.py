@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from testbed.core.errors import InputError
 from testbed.reports.study.report_table import format_cell
 from testbed.reports.study.study_data import (
     PERCENT,
@@ -30,7 +31,16 @@ def latex_table(study: StudyData) -> str:
 
     The rows are those of the table of points; of a study with drawn points, or with more than
     `MAX_POINTS` of them, those of cases and laws. It needs no package.
+
+    Raises:
+        InputError: the study is a map.
     """
+    if study.is_map:
+        raise InputError(
+            "a table of a map would have one number for each case, over points that are not even: "
+            "there are more where the number changes (write --tables DIR for its boundary and its "
+            "points, --figures DIR for the map)"
+        )
     flights = study.flights
     parameters = flights.parameters
     places = sorted({*zip(flights.case_index.tolist(), flights.point.tolist(), strict=True)})

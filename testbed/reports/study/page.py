@@ -29,8 +29,8 @@ MAX_CARDS = 6  # in the head: metrics, or cases and laws
 
 def study_page(study: StudyData) -> Page:
     """Make the page of a study."""
-    boundary, effects, cases = (
-        make(study) for make in (tables.boundary, tables.effects, tables.cases)
+    boundary, effects, cases, worse = (
+        make(study) for make in (tables.boundary, tables.effects, tables.cases, tables.side_effects)
     )
     results = _table_html(tables.overview(study)) + "".join(
         _table_html(each, 3) for each in (boundary, effects) if each
@@ -40,8 +40,9 @@ def study_page(study: StudyData) -> Page:
         head=_head(study),
         sections=(
             PageSection("results", "Results", results),
-            PageSection("figures", "Figures", "".join(map(figure_html, study_figures(study)))),
+            PageSection("figures", "Figures", _figures_html(study)),
             PageSection("cases", "Cases", _table_html(cases) if cases else ""),
+            PageSection("side-effects", "What got worse", _table_html(worse) if worse else ""),
             PageSection(
                 "points", "Points", "".join(_table_html(each, 3) for each in tables.points(study))
             ),
@@ -51,6 +52,13 @@ def study_page(study: StudyData) -> Page:
         ),
         footer=f"Made by testbed {__version__} from {study.file}.",
     )
+
+
+def _figures_html(study: StudyData) -> str:
+    note = ""
+    if study.is_map and len(study.flights.cases) > 1:
+        note = f"<p>Cases are compared point by point, below. {escape(tables.UNEVEN_MAP)}</p>"
+    return "".join(map(figure_html, study_figures(study))) + note
 
 
 _ENDS = {
@@ -70,6 +78,7 @@ def print_summary(study: StudyData, console: Console) -> None:
         tables.boundary(study),
         tables.effects(study),
         tables.cases(study),
+        tables.side_effects(study),
     ]
     if not study.flights.completed.all():
         shown.append(tables.losses(study))
@@ -88,6 +97,8 @@ def print_summary(study: StudyData, console: Console) -> None:
             else:
                 rich.width = whole
                 console.print(rich, crop=False)
+        if table.name == "side-effects":
+            console.print(f" {table.note}", style="dim", soft_wrap=True, markup=False)
     console.print("\n[bold]worst runs[/]")
     for number, outcome, value, command in tables.worst(study).rows:
         line = f" {number}  {outcome}  {format_cell(value)}"
@@ -107,7 +118,8 @@ def _facts(study: StudyData) -> list[str]:
     if len(flights.cases) > 1:
         out.append(f"{len(flights.cases)} cases")
     count = len(set(flights.seed.tolist()))
-    out.append(f"{count} seed{'s' * (count != 1)}")
+    same = ", which change no number" if study.same_flights else ""
+    out.append(f"{count} seed{'s' * (count != 1)}{same}")
     return [*out, *_ends(study)]
 
 
@@ -141,6 +153,8 @@ def _head(study: StudyData) -> str:
     groups = flights.groups
     # several cases or laws: all of them with the first metric, rather than one with several
     shown = [(m, g) for m in study.metrics[: MAX_CARDS if len(groups) == 1 else 1] for g in groups]
+    if study.is_map:  # there is no number of all its points
+        shown = []
     for metric, group in shown[:MAX_CARDS]:
         estimate = study.estimate(metric, group.flights, f"all/{group.name or flights.cases[0]}")
         value = format_number(estimate.value)

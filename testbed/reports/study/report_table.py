@@ -101,11 +101,20 @@ def format_number(value: float) -> str:
     """Format a number with three significant digits, without an exponent where that is short."""
     if not math.isfinite(value):
         return ABSENT
-    size = abs(value)
-    if size >= 1e6 or 0.0 < size < 1e-4:
+    if abs(value) >= 1e6 or 0.0 < abs(value) < 1e-4:
         return f"{value:.2e}"
-    digits = 2 - math.floor(math.log10(size)) if size > 0.0 else 0
-    return f"{value:,.{min(max(digits, 0), 6)}f}"
+    return f"{value:,.{min(max(_decimals(value), 0), 6)}f}"
+
+
+def rounding_of(*values: float) -> float:
+    """Return a unit of the last digit of the largest of these numbers, as they are printed."""
+    return float(10.0 ** -_decimals(max(values, key=abs)))
+
+
+def _decimals(value: float) -> int:
+    """Return the decimals of three significant digits."""
+    size = abs(value)
+    return 2 - math.floor(math.log10(size)) if size > 0.0 and math.isfinite(size) else 0
 
 
 def _all_digits(cell: Cell) -> str:

@@ -15,7 +15,18 @@ from scipy import stats
 
 from testbed.core.random import named_stream
 from testbed.core.records import Array, BoolArray
-from testbed.core.stats import LEVEL, MIN_VALUES, student_interval
+from testbed.core.stats import LEVEL, MIN_VALUES
+from testbed.metrics.side_effects import (
+    NO_CHANGE,
+    NOT_COMPLETED,
+    Columns,
+    PairedChange,
+    SideEffects,
+    change_of,
+    mean_by_unit,
+    seeds_change_nothing,
+    side_effects,
+)
 from testbed.reports.study.uneven_values import UnevenValues
 
 UNITS = {
@@ -158,9 +169,9 @@ def _bootstrap(
     return IntervalEstimate(value, float(low), float(high), size)
 
 
-def mean_estimate(values: Array) -> IntervalEstimate:
-    """Return the mean of independent, nearly normal values (n,) with Student's interval."""
-    return IntervalEstimate(*student_interval(values), values.size) if values.size else NOTHING
+def estimate_of(change: PairedChange) -> IntervalEstimate:
+    """Return the mean difference of a change with its interval."""
+    return IntervalEstimate(change.mean, change.low, change.high, change.units)
 
 
 def wilson(hits: int, of: int) -> IntervalEstimate:
@@ -271,6 +282,21 @@ class StudyFlights:
         """Number (R,) of the case and the set of parameter values."""
         points = int(self.point.max(initial=0)) + 1
         return self.case_index * points + self.point
+
+    def pairs(self, case: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return the flights of the first case and those of another at the same point and seed."""
+        keys = list(zip(self.point.tolist(), self.seed.tolist(), strict=True))
+        own = np.flatnonzero(self.case_index == case).tolist()
+        first = {keys[k]: k for k in np.flatnonzero(self.case_index == 0).tolist()}
+        found = [(first[keys[k]], k) for k in own if keys[k] in first]
+        before, after = np.array(found, dtype=np.int64).reshape(-1, 2).T
+        return before, after
+
+    @cached_property
+    def same_for_all_seeds(self) -> bool:
+        """Whether there are several seeds, and they change no number."""
+        several = np.unique(self.case_point).size < len(self.run)
+        return several and seeds_change_nothing(self.metrics, self.case_point)
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -445,6 +471,8 @@ class StudyData:
         """Compute the statistic over the units with its interval; see `bootstrap`."""
         known = self.flights.metrics[metric]
         values = self.unit_means(known, where)
+        if self.same_flights and values.size:
+            return IntervalEstimate(float(values[0]), math.nan, math.nan, 1)
         some = where & self.flights.completed & np.isfinite(known)
         if self.pools_uneven(some):
             value = float(STATISTICS[self.statistic](values))
@@ -459,8 +487,13 @@ class StudyData:
     def _uneven(self, values: Array, some: BoolArray) -> UnevenValues:
         return UnevenValues(values[some], self.unit[some], self.flights.case_point[some])
 
-    def differences(self, metric: str, case: int, where: BoolArray | None = None) -> Array:
-        """Compute a case minus the first one (n,), paired by point and seed, by unit.
+    @property
+    def same_flights(self) -> bool:
+        """Whether all seeds have the same flights, so that there is one for each point."""
+        return self.flights.same_for_all_seeds and not self.random
+
+    def change(self, metric: str, case: int, where: BoolArray | None = None) -> PairedChange:
+        """Compare a case with the first one, paired by point and seed.
 
         Args:
             metric: its name.
@@ -469,20 +502,51 @@ class StudyData:
         """
         flights = self.flights
         values = np.where(flights.completed, flights.metrics[metric], math.nan)
-        first = {
-            (p, s): value
-            for p, s, value in zip(
-                flights.point[flights.case_index == 0],
-                flights.seed[flights.case_index == 0],
-                values[flights.case_index == 0],
-                strict=True,
-            )
-        }
-        baseline = np.array(
-            [first.get(key, math.nan) for key in zip(flights.point, flights.seed, strict=True)]
+        before, after = flights.pairs(case)
+        both = np.isfinite(values[before]) & np.isfinite(values[after])
+        both &= True if where is None else where[after]
+        if not both.any():
+            return NO_CHANGE
+        before, after = before[both], after[both]
+        old, new = (
+            self._pool(values[k], self.unit[k], flights.case_point[k]) for k in (before, after)
         )
-        own = flights.case_index == case
-        return self.unit_means(values - baseline, own if where is None else own & where)
+        differences = self._pool(
+            values[after] - values[before], self.unit[after], flights.case_point[after]
+        )
+        one = self._one_flight(np.concatenate([before, after]))
+        return change_of(float(old.mean()), float(new.mean()), differences, one_flight=one)
+
+    def _one_flight(self, rows: NDArray[np.int64]) -> bool:
+        """Whether flights are the same for all seeds."""
+        flights = self.flights
+        if self.random:
+            return False
+        numbers = {name: values[rows] for name, values in flights.metrics.items()}
+        return seeds_change_nothing(numbers, flights.case_point[rows])
+
+    def _pool(self, values: Array, unit: NDArray[np.int64], point: NDArray[np.int64]) -> Array:
+        """Return values by unit; see `UnevenValues`."""
+        if self.uneven and not self.random and np.unique(point).size > 1:
+            return UnevenValues(values, unit, point).of_units
+        return mean_by_unit(values, unit, point)
+
+    def side_effects(self, case: int, where: BoolArray | None = None) -> SideEffects:
+        """Return what is worse in a case than in the first one; see `change`."""
+        flights = self.flights
+        before, after = flights.pairs(case)
+        if where is not None:
+            before, after = before[where[after]], after[where[after]]
+        numbers = {**flights.metrics, NOT_COMPLETED: (~flights.completed).astype(np.float64)}
+
+        def of(rows: NDArray[np.int64]) -> Columns:
+            return {name: values[rows] for name, values in numbers.items()}
+
+        point = np.zeros_like(after) if self.random else flights.point[after]
+        return side_effects(
+            of(before), of(after), self.unit[after], point,
+            unit_name=self.unit_name, pool=self._pool,
+        )  # fmt: skip
 
 
 def format_level(value: Value) -> str:

@@ -11,16 +11,17 @@ import numpy as np
 
 from testbed.core.files import write_text_file
 from testbed.core.records import Array, BoolArray
+from testbed.metrics.side_effects import better_sign, describe_change
 from testbed.reports.study.map_points import LOST_SHARE, MapPoints, map_axes, map_points
-from testbed.reports.study.report_table import Cell, ReportTable
+from testbed.reports.study.report_table import Cell, ReportTable, rounding_of
 from testbed.reports.study.study_data import (
     MAX_LEVELS,
     PERCENT,
     IntervalEstimate,
     Parameter,
     StudyData,
+    estimate_of,
     format_level,
-    mean_estimate,
     rank_correlation,
     variance_share,
     wilson,
@@ -29,12 +30,16 @@ from testbed.reports.study.study_data import (
 MAX_POINTS = 60  # rows of the table of all points
 MAX_WORST = 12
 GROUPS = 4  # of a parameter with many numbers
+UNEVEN_MAP = (
+    "Of the points flown. There is no median or mean over them, because a map has more points where"
+    " the number changes: it would be one of these points, not of the area."
+)
 
 
 def study_tables(study: StudyData) -> Iterator[ReportTable]:
     """Yield the tables for which the study has data."""
     yield overview(study)
-    for table in (boundary(study), effects(study), cases(study)):
+    for table in (boundary(study), effects(study), cases(study), side_effects(study)):
         if table is not None:
             yield table
     yield from points(study)
@@ -73,25 +78,24 @@ def overview(study: StudyData) -> ReportTable:
             known = values[group.flights & flights.completed & np.isfinite(values)]
             spread = np.quantile(known, [0.05, 0.95]) if known.size else [math.nan, math.nan]
             name = group.name or flights.cases[0]
-            out.append(
-                (
-                    metric,
-                    *([group.name] if titles else []),
-                    known.size,
-                    study.estimate(metric, group.flights, f"all/{name}"),
-                    float(known.min()) if known.size else math.nan,
-                    float(spread[0]),
-                    float(spread[1]),
-                    float(known.max()) if known.size else math.nan,
-                )
+            least, largest = (
+                (float(known.min()), float(known.max())) if known.size else (math.nan, math.nan)
             )
-    centre = f"{study.statistic} [{PERCENT} %]"
-    columns = ("metric", *titles, "flights", centre)
+            head: tuple[Cell, ...] = (metric, *([group.name] if titles else []), known.size)
+            if study.is_map:
+                out.append((*head, least, largest))
+            else:
+                centre = study.estimate(metric, group.flights, f"all/{name}")
+                out.append((*head, centre, least, float(spread[0]), float(spread[1]), largest))
+    if study.is_map:
+        columns = ("metric", *titles, "flights", "least", "largest")
+        return ReportTable("overview", "Overview", columns, out, UNEVEN_MAP)
+    heading = f"{study.statistic} [{PERCENT} %]"
     note = (
         f"The {study.statistic} over {study.unit_name}, of the mean over the flights of each, with"
         f" its {PERCENT} % interval (bootstrap). Lost and failed flights are excluded."
     )
-    columns = (*columns, "least", "5 %", "95 %", "largest")
+    columns = ("metric", *titles, "flights", heading, "least", "5 %", "95 %", "largest")
     return ReportTable("overview", "Overview", columns, out, note)
 
 
@@ -149,8 +153,7 @@ def points(study: StudyData) -> Iterator[ReportTable]:
         out: list[tuple[Cell, ...]] = []
         for case, point in groups:
             here = (flights.case_index == case) & (flights.point == point)
-            one = int(np.flatnonzero(here)[0])
-            values = [format_level(each.levels[each.index[one]]) for each in flights.parameters]
+            values = _levels(study, here)
             name = f"point/{flights.cases[case]}/{'/'.join(values)}"
             estimate = study.estimate(metric, here, name)
             incomplete = int((here & ~flights.completed).sum())
@@ -166,20 +169,24 @@ def cases(study: StudyData) -> ReportTable | None:
     flights = study.flights
     if len(flights.cases) < 2:
         return None
+    if study.is_map:
+        return _cases_of_map(study)
     out: list[tuple[Cell, ...]] = []
     for metric in study.metrics:
         for k, case in enumerate(flights.cases):
             centre = study.estimate(metric, flights.case_index == k, f"all/{case}")
             if not k:
-                out.append((metric, case, centre, "", "", 0))
+                out.append((metric, case, centre, "", "", centre.count))
                 continue
-            difference = mean_estimate(study.differences(metric, k))
-            out.append((metric, case, centre, difference, verdict(difference), difference.count))
+            change = study.change(metric, k)
+            verdict = describe_change(metric, change, rounding_of(change.before, change.after))
+            out.append((metric, case, centre, estimate_of(change), verdict, change.units))
     first, unit = flights.cases[0], study.unit_name
     note = (
         f"Difference: the mean over {unit} of a case minus {first}, paired by point and seed where"
         f" both flights were completed, with Student's {PERCENT} % interval. It is not corrected"
-        " for the number of cases."
+        " for the number of cases. Where no seed changes a flight, or there is one seed, there is"
+        " no interval: a change of more than the printed rounding is named, as one of one flight."
     )
     centre_heading = f"{study.statistic} [{PERCENT} %]"
     difference_heading = f"difference from {first} [{PERCENT} %]"
@@ -188,13 +195,91 @@ def cases(study: StudyData) -> ReportTable | None:
     return ReportTable("cases", "Cases", columns, out, note, ends)
 
 
-def verdict(difference: IntervalEstimate) -> str:
-    """Name the sign of a difference if its confidence interval excludes 0."""
-    if math.isnan(difference.low):
-        return "too few"
-    if difference.low > 0.0:
-        return "larger"
-    return "smaller" if difference.high < 0.0 else "not significant"
+def _cases_of_map(study: StudyData) -> ReportTable:
+    """Count the points of a map at which a case differs from the first one."""
+    flights, first = study.flights, study.flights.cases[0]
+    out: list[tuple[Cell, ...]] = []
+    for metric in study.metrics:
+        better = better_sign(metric)
+        for k, case in enumerate(flights.cases[1:], 1):
+            changes = [study.change(metric, k, here) for _, here in _shared_points(study, k)]
+            signs = [each.sign(rounding_of(each.before, each.after)) for each in changes]
+            larger, smaller = signs.count(1), signs.count(-1)
+            counts = (smaller, larger) if better < 0 else (larger, smaller)
+            out.append((metric, case, len(changes), *counts))
+    note = (
+        f"Points that were flown both with {first} and with the case, and at how many of them the"
+        f" number changes beyond noise: of one seed by more than its printed rounding, of several"
+        f" if the {PERCENT} % interval of their differences excludes 0. There is no mean over the"
+        " points, because a map has more of them where the number changes."
+    )
+    words = ("better", "worse") if all(map(better_sign, study.metrics)) else ("larger", "smaller")
+    columns = ("metric", "case", "points of both", *words)
+    return ReportTable("cases", f"Cases beside {first}", columns, out, note)
+
+
+def _shared_points(study: StudyData, case: int) -> list[tuple[int, BoolArray]]:
+    """Return the points, and their flights (R,), at which a case and the first one were flown."""
+    flights = study.flights
+    shared = sorted(set(flights.point[flights.pairs(case)[1]].tolist()))
+    return [(point, flights.point == point) for point in shared]
+
+
+def side_effects(study: StudyData) -> ReportTable | None:
+    """Tabulate what is worse in a case than in the first one; None: nothing is."""
+    flights = study.flights
+    if len(flights.cases) < 2:
+        return None
+    if study.is_map:
+        return _side_effects_of_map(study)
+    first, out, bases = flights.cases[0], [], []
+    for k, case in enumerate(flights.cases[1:], 1):
+        found = study.side_effects(k)
+        for each in found.worse:
+            change = each.change
+            numbers = change.before, change.after, estimate_of(change)
+            out.append((case, each.quantity.label, *numbers))
+        if found:
+            bases.append(f"{case}: {found.basis}")
+    if not bases:
+        return None
+    note = (
+        f"Numbers that are worse than those of {first} beyond noise, whatever the metric is;"
+        f" {'; '.join(bases)}. Means over the pairs of flights."
+    )
+    columns = ("case", "worse", first, "this case", f"difference [{PERCENT} %]")
+    return ReportTable("side-effects", "What got worse", columns, out, note)
+
+
+def _side_effects_of_map(study: StudyData) -> ReportTable | None:
+    """Count the points of a map at which something is worse, and name the worst."""
+    flights, first = study.flights, study.flights.cases[0]
+    keys = [each.key for each in flights.parameters]
+    out: list[tuple[Cell, ...]] = []
+    for k, case in enumerate(flights.cases[1:], 1):
+        points = _shared_points(study, k)
+        found = [(here, each) for _, here in points for each in study.side_effects(k, here).worse]
+        for quantity in dict.fromkeys(each.quantity for _, each in found):
+            of = [(here, each.change) for here, each in found if each.quantity == quantity]
+            here, most = max(of, key=lambda each: abs(each[1].mean))
+            at = ", ".join(
+                f"{key} {level}" for key, level in zip(keys, _levels(study, here), strict=True)
+            )
+            count = f"{len(of)} of {len(points)}"
+            out.append((case, quantity.label, count, at, most.before, most.after))
+    if not out:
+        return None
+    note = (
+        f"Points flown both with {first} and with the case at which a number is worse beyond noise,"
+        " whatever the metric is, and the one at which it is worse by most."
+    )
+    columns = ("case", "worse", "points", "most at", first, "this case")
+    return ReportTable("side-effects", "What got worse", columns, out, note)
+
+
+def _levels(study: StudyData, here: BoolArray) -> list[str]:
+    one = int(np.flatnonzero(here)[0])
+    return [format_level(each.levels[each.index[one]]) for each in study.flights.parameters]
 
 
 def effects(study: StudyData) -> ReportTable | None:
@@ -279,14 +364,18 @@ def losses(study: StudyData) -> ReportTable:
         percent = IntervalEstimate(
             100.0 * share.value, 100.0 * share.low, 100.0 * share.high, share.count
         )
-        out.append((group, level, int(here.sum()), *counts, percent))
+        shares = [] if study.is_map else [percent]  # of a map's points it would be none of the area
+        out.append((group, level, int(here.sum()), *counts, *shares))
         if i + 1 < len(groups) and groups[i + 1][0] != group:
             ends.add(i)
     note = (
         f"Share of lost and failed flights with Wilson's {PERCENT} % interval, which assumes"
         " independent flights."
     )
-    columns = ("group", "level", "flights", *kinds, f"lost or failed, % [{PERCENT} %]")
+    columns: tuple[str, ...] = ("group", "level", "flights", *kinds)
+    if study.is_map:
+        return ReportTable("losses", "How flights ended", columns, out, "", frozenset(ends))
+    columns = (*columns, f"lost or failed, % [{PERCENT} %]")
     return ReportTable("losses", "How flights ended", columns, out, note, frozenset(ends))
 
 

@@ -203,7 +203,8 @@ def test_compare_scenario_keys_are_listed(tmp_path):
 @pytest.fixture
 def compare(log, tmp_path):
     """Run `testbed compare` in a folder with runs of several names."""
-    run(tmp_path / "moved", frames(moved_m=3.0), change=[("min_separation_m", 1.25)])
+    near = [(key, 1.25) for key in ("min_separation_m", "windows/first/min_separation_m")]
+    run(tmp_path / "moved", frames(moved_m=3.0), change=near)
     (tmp_path / "same").mkdir()
     (tmp_path / "same" / "run.mcap").write_bytes(log.read_bytes())
     (tmp_path / "first").mkdir()
@@ -221,6 +222,9 @@ def test_compare_command_prints_and_exits(compare, tmp_path):
     check_snapshot("compare_moved", done.stdout)
     document = json.loads((tmp_path / "what.json").read_text())
     assert document["same"] is False
+    (worse,) = document["worse"]
+    assert (worse["key"], worse["after"]) == ("separation_in_windows_m", 1.25)
+    assert worse["one_flight"] and worse["difference"]["low"] is None
     printed = compare("moved", "--numbers", "--json", "-", code=3)
     assert json.loads(printed.stdout) == document
 

@@ -23,6 +23,7 @@ from testbed.metrics.facts import (
     describe_pace,
     facts,
 )
+from testbed.metrics.flat_numbers import flatten_metrics
 from testbed.metrics.model import (
     EstimateErrorMetrics,
     Metrics,
@@ -33,7 +34,6 @@ from testbed.metrics.model import (
 )
 from testbed.metrics.observer import MetricsObserver
 from testbed.metrics.printed_tables import render_table
-from testbed.studies.journal import flatten_metrics
 
 PUBLISHED = {
     "source": "[HBH23] Table 1, Simulation 3",

@@ -161,7 +161,8 @@ def test_window_not_reached_has_no_numbers():
     nothing |= {"rms_m": {"uav1": None}, "mean_rms_m": None, "percent_error": None}
     nothing |= {"estimated_rms_m": {"uav1": None}, "estimated_mean_rms_m": None}
     nothing |= {"kappa_mps": {"uav1": None}, "slot_speed_mps": {"uav1": [None, None]}}
-    assert windows["none"] == nothing | {"max_error_m": {"uav1": None}, "leader_bank_deg": None}
+    nothing |= {"max_error_m": {"uav1": None}, "leader_bank_deg": None, "min_separation_m": None}
+    assert windows["none"] == nothing
 
 
 def test_nan_error_gives_no_rms():
@@ -240,6 +241,24 @@ def test_separation_includes_the_sample_of_a_loss(at):
     assert summary["lost_at_s"] == {"leader": None} | dict.fromkeys(
         ("uav1", "uav2"), at / FRAME_RATE_HZ
     )
+
+
+def test_separation_inside_and_outside_windows():
+    """Of windows that overlap too; wherever a block of samples begins."""
+    away = {30: 9.0, 60: 8.0, 90: 7.0, 110: 6.0}  # of the follower, whose slot is at 20 m
+
+    def sample(k):
+        return make_sample(k, [[away.get(k, 20.0) - 20.0, 0.0, 0.0]])
+
+    spans = {"early": (1.0, 3.0), "late": (2.0, 4.0), "none": (9.0, 10.0)}  # samples 25 to 99
+    summary = measure([sample(k) for k in range(150)], run_info(1, spans))
+    inside = {name: each["min_separation_m"] for name, each in summary["windows"].items()}
+    assert inside == {"early": pytest.approx(8.0), "late": pytest.approx(7.0), "none": None}
+    assert summary["min_separation_outside_windows_m"] == summary["min_separation_m"]
+    assert summary["min_separation_m"] == pytest.approx(6.0)
+    everywhere = measure([sample(k) for k in range(150)], run_info(1, {"all": (0.0, 10.0)}))
+    assert everywhere["windows"]["all"]["min_separation_m"] == pytest.approx(6.0)
+    assert everywhere["min_separation_outside_windows_m"] is None
 
 
 def test_flags_of_a_lost_follower_do_not_count():

@@ -66,7 +66,8 @@ def test_cases_are_compared_in_pairs_of_flights(made):
     for k, row in enumerate(table.rows[1:], 1):
         assert row[3].value == pytest.approx(0.5 * k, abs=0.02)  # as they were made
         assert row[3].low < 0.5 * k < row[3].high
-        assert (row[4], row[5]) == ("larger", 6)
+        assert (row[4], row[5]) == ("worse", 6)
+    assert table.rows[0][5] == 6
     # the effect of a seed exceeds that of a case, and cancels in the difference
     assert table.rows[1][3].high - table.rows[1][3].low < 0.05
     assert table.rows[1][2].high - table.rows[1][2].low > 0.2

@@ -7,10 +7,11 @@ import pytest
 from scipy import stats
 
 from testbed.core.stats import student_quantile
+from testbed.metrics.side_effects import change_of
 from testbed.reports.study.study_data import (
     LEVEL,
     bootstrap,
-    mean_estimate,
+    estimate_of,
     rank_correlation,
     running_quantiles,
     variance_share,
@@ -58,6 +59,10 @@ def test_bootstrap_depends_on_its_name():
     values = samples(20)
     assert bootstrap(values, "median", "a") == bootstrap(values, "median", "a")
     assert bootstrap(values, "mean", "a") != bootstrap(values, "mean", "b")
+
+
+def mean_estimate(values):
+    return estimate_of(change_of(0.0, 0.0, values, one_flight=False))
 
 
 @pytest.mark.parametrize(

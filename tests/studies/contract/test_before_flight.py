@@ -9,14 +9,13 @@ from commands import call_command, times_of_files
 
 import testbed
 from testbed.core.errors import InputError
+from testbed.metrics.flat_numbers import flatten_metrics
 from testbed.scenario import load_scenario, loads, set_duration
-from testbed.studies.journal import flatten_metrics
 from testbed.studies.plan import Plan, load_study
 from testbed.studies.plan_check import check_plan, number_names
 from testbed.studies.sweep import sweep
 from testbed.studies.table import read_rows
-from testbed.tuning.tune import TuneProblem
-from testbed.tuning.tune_schema import load_tune
+from testbed.tuning.tuning import Tuning
 
 BAD_INPUT = 2
 HEAD = "study: {{schema: 1, name: s, scenario: simulation-3, duration_s: 3, metrics: [{}]}}\n"
@@ -84,9 +83,9 @@ search: {max_flights: 52}
 """
     (tmp_path / "t.yaml").write_text(text)
     with pytest.raises(InputError, match=r"t.yaml:4:21: objective.metric: no run has a number"):
-        TuneProblem(load_tune(tmp_path / "t.yaml"))
+        Tuning(tmp_path / "t.yaml")
     (tmp_path / "t.yaml").write_text(text.replace("rectangle.", "rectangles."))
-    TuneProblem(load_tune(tmp_path / "t.yaml"))
+    Tuning(tmp_path / "t.yaml")
 
 
 @pytest.mark.parametrize(

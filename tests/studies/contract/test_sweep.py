@@ -21,7 +21,8 @@ from waiting import TIMEOUT_S, until
 from testbed.cli.progress import progress_counter
 from testbed.cli.sweep import summary_tables
 from testbed.core.errors import InputError
-from testbed.studies.journal import Journal, flatten_metrics
+from testbed.metrics.flat_numbers import flatten_metrics
+from testbed.studies.journal import Journal
 from testbed.studies.study_summary import RunGroup, Summary
 from testbed.studies.sweep import sweep
 from testbed.studies.table import find_output, read_rows, read_table

@@ -6,8 +6,9 @@ import statistics
 
 import pytest
 
+from testbed.metrics.flat_numbers import flatten_metrics
 from testbed.scenario import ScenarioError, list_studies, load_scenario
-from testbed.studies.journal import Journal, JournalRow, flatten_metrics
+from testbed.studies.journal import Journal, JournalRow
 from testbed.studies.plan import Plan, load_study
 from testbed.studies.plan_check import check_plan
 from testbed.studies.study_schema import Variation

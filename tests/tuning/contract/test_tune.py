@@ -10,6 +10,7 @@ import pytest
 from commands import call_command
 from snapshot import check_snapshot
 
+from testbed.pool.flight_pool import FlightWorkers
 from testbed.pool.flight_task import FlightResult, run_task
 from testbed.scenario import (
     ScenarioError,
@@ -19,9 +20,11 @@ from testbed.scenario import (
     load_scenario,
     middle_loop_gains,
 )
+from testbed.studies.predicted_numbers import predict_numbers
 from testbed.tuning import tune
-from testbed.tuning.tune import TuneProblem, tune_gains
+from testbed.tuning.tune import tune_gains
 from testbed.tuning.tune_schema import load_tune
+from testbed.tuning.tuning import Tuning
 
 PROFILE_COURSE_P = middle_loop_gains(load_scenario("simulation-3"), "rascal110").course.p
 METRIC = "windows.rectangles.mean_rms_m"
@@ -47,11 +50,19 @@ def file(tmp_path):
     return path
 
 
+def is_prediction(task):
+    """Whether margins are to be predicted."""
+    return task.measure is not None and task.measure.func is predict_numbers
+
+
 def artificial_flight(task):
     """Return a metric with its minimum at course.p = 2 and k = 2.5, larger in wind."""
     scenario = task.scenario
     course, k = middle_loop_gains(scenario, "rascal110").course.p, scenario.formation.k
     wind, seed = scenario.air.wind.speed_mps, scenario.scenario.seed
+    if is_prediction(task):
+        margins = {"roll_latency_s": 0.8 / course, "damping": 0.3}
+        return FlightResult(task.number, "completed", "", {"margins": margins})
     value = 0.2 + (course - 2.0) ** 2 + (k - 2.5) ** 2 + 0.1 * wind + 0.01 * seed
     metrics = {"outcome": "completed", "windows": {"rectangles": {"mean_rms_m": value}}}
     return FlightResult(task.number, "completed", "", metrics | {"lost_at_s": {}})
@@ -74,10 +85,10 @@ def fly_with(monkeypatch):
                     yield function(task)
 
         @contextmanager
-        def open_flight_pool(*, jobs=None, report=None):
+        def pool(_, *, keep):
             yield Pool()
 
-        monkeypatch.setattr(tune, "open_flight_pool", open_flight_pool)
+        monkeypatch.setattr(FlightWorkers, "pool", pool)
         return done
 
     return replace
@@ -88,13 +99,14 @@ def test_tune_result_is_independent_of_the_order(file, tmp_path, fly_with):
     for name, reverse in (("a", False), ("b", True)):
         (tmp_path / name).mkdir()
         results = fly_with(reverse=reverse)
-        found.append(tune_gains(TuneProblem(load_tune(file)), tmp_path / name))
-        # 4 with the scenario's gains, 3 generations of 4 x 4, and 3 seeds x 2 cases twice
-        assert len(results) == 4 + 48 + 12 and found[-1].flights == 52
+        found.append(tune_gains(Tuning(file), tmp_path / name))
+        # 4 with the scenario's gains, 3 generations of 4 x 4, and 3 seeds x 2 cases twice, and
+        # the margins of 2 cases twice
+        assert len(results) == 4 + 48 + 12 + 4 and found[-1].flights == 52
     assert found[0].candidates == found[1].candidates
     for name in ("candidates.csv", "middle_loop.yaml", "result.json"):
         assert (tmp_path / "a" / name).read_text() == (tmp_path / "b" / name).read_text()
-    assert found[0].comparison.better
+    assert found[0].held_out.comparison.better
     assert found[0].best.gains == pytest.approx((2.0, 2.5), abs=1.0)
 
 
@@ -156,7 +168,7 @@ def test_tune_gains_of_the_scenario_move_to_the_file(file, tmp_path, fly_with):
     file.write_text(changed)
     out = tmp_path / "out"
     out.mkdir()
-    result = tune_gains(TuneProblem(load_tune(file)), out)
+    result = tune_gains(Tuning(file), out)
     assert result.candidates[0].gains[0] == 5.0
     tuned = load_scenario(out / "tuned.yaml")
     gains = middle_loop_gains(tuned, "rascal110")
@@ -170,7 +182,7 @@ CONSTRAINTS = "constraints: [{bank_deg: 0, damping: 0.2}, {bank_deg: 45, damping
 def damped_flight(task):
     """Return a damping ratio that falls as course.p rises: 0.4 needs 1.875 or less."""
     result = artificial_flight(task)
-    if task.measure is None:
+    if task.measure is None or is_prediction(task):
         return result
     bank_deg = task.measure.args[1]
     damping = 0.75 / middle_loop_gains(task.scenario, "rascal110").course.p
@@ -213,7 +225,8 @@ def test_tune_constraints_unmet_are_said(file, tmp_path, fly_with):
     def unsteady(task):
         result = damped_flight(task)
         course = middle_loop_gains(task.scenario, "rascal110").course.p
-        if task.measure is not None and task.measure.args[1] and course > 2.5:
+        banked = task.measure is not None and not is_prediction(task) and task.measure.args[1]
+        if banked and course > 2.5:
             return replace(result, metrics={"problem": "not steady: rings"})
         return result
 
@@ -234,7 +247,8 @@ def test_tune_nothing_better_writes_no_gains(file, tmp_path, fly_with):
     def worse(task):
         result = artificial_flight(task)
         changed = middle_loop_gains(task.scenario, "rascal110").course.p != PROFILE_COURSE_P
-        result.metrics["windows"]["rectangles"]["mean_rms_m"] += 50.0 * changed
+        if not is_prediction(task):
+            result.metrics["windows"]["rectangles"]["mean_rms_m"] += 50.0 * changed
         return result
 
     fly_with(worse)
@@ -252,7 +266,7 @@ def test_tune_real_flights_have_costs(file, tmp_path, fly_with):
     small = small.replace("  seeds: 1\n", f"  seeds: 1\n  set: {changes}\n")
     file.write_text(small.replace("max_flights: 52", "max_flights: 5"))
     fly_with(run_task)
-    result = tune_gains(TuneProblem(load_tune(file)), tmp_path)
+    result = tune_gains(Tuning(file), tmp_path)
     assert len(result.candidates) == 5
     assert all(0.0 < candidate.cost < result.saturation for candidate in result.candidates)
     assert len({candidate.cost for candidate in result.candidates}) == 5
@@ -298,7 +312,7 @@ def test_tune_library_files_are_valid():
     for name in list_tunings():
         loaded = load_tune(name)
         assert loaded.study.name == name == find_tuning(name).stem
-        TuneProblem(loaded)
+        Tuning(name)
 
 
 def test_gains_of_a_scenario_override_the_profile():

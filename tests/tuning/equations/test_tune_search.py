@@ -79,12 +79,13 @@ def test_aggregate_costs_of_all_flights():
     assert describe_aggregate(Quantile(quantile=0.9)) == "the 90 % quantile"
 
 
-def space():
+def space(start=(1.0, 0.0)):
     return GainSpace(
         {
             "p": GainBounds.model_validate({"from": 0.1, "to": 10.0, "scale": "log"}),
             "k": GainBounds.model_validate({"from": -1.0, "to": 3.0}),
-        }
+        },
+        start,
     )
 
 
@@ -107,7 +108,7 @@ def searched(seed=1, generations=25):
 
     settings = Search(max_flights=1000, seed=seed)
     options = {"settings": settings, "generations": generations}
-    found = search(space(), (0.5, 0.0), evaluate, **options)
+    found = search(space((0.5, 0.0)), evaluate, **options)
     return [candidate for generation in found for candidate in generation]
 
 
@@ -140,9 +141,10 @@ def test_compare_held_out_is_a_paired_interval():
     )
     paired = stats.ttest_rel(new.mean(axis=1), old.mean(axis=1))
     theirs = paired.confidence_interval(0.95)
-    assert found.difference[1:] == pytest.approx((theirs.low, theirs.high), rel=1e-6)
-    assert (found.pairs, found.seeds) == (24, 8)
-    assert found.before == pytest.approx(old.mean()) and found.after == pytest.approx(new.mean())
+    change = found.change
+    assert (change.low, change.high) == pytest.approx((theirs.low, theirs.high), rel=1e-6)
+    assert (found.pairs, change.units) == (24, 8)
+    assert (change.before, change.after) == pytest.approx((old.mean(), new.mean()))
     assert found.better and "better on held-out seeds" in found.verdict
 
 
@@ -165,3 +167,19 @@ def test_compare_held_out_fewer_failures_is_better():
     found = compare_held_out({k: [v] for k, v in enumerate([1.0, 2.0, 3.0, None])},
                   {k: [v] for k, v in enumerate([0.5, 1.4, 2.5, 1.0])})  # fmt: skip
     assert found.better and (found.failed_before, found.failed_after) == (1, 0)
+
+
+@pytest.mark.parametrize(
+    ("after", "message", "better"),
+    [
+        (1.0, "better in one flight, by 50 %: no seed changes it, so nothing is held out", True),
+        (2.1, "worse in one flight, by 5 %", False),
+        (2.0005, "not shown to be better in one flight", False),  # less than is printed
+    ],
+)
+def test_compare_held_out_of_one_flight(after, message, better):
+    found = compare_held_out(
+        {k: [2.0] for k in range(8)}, {k: [after] for k in range(8)}, one_flight=True
+    )
+    assert found.verdict.startswith(message) and found.better is better
+    assert math.isnan(found.change.low) and found.change.units == 1
