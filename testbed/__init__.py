@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from testbed.runs.simulation import Simulation
     from testbed.runs.single_aircraft import Aircraft
     from testbed.scenario.load import load_scenario
+    from testbed.tuning.tuning import Tuning
 
 __all__ = [
     "Aircraft",
@@ -36,6 +37,7 @@ __all__ = [
     "LinearSystem",
     "Run",
     "Simulation",
+    "Tuning",
     "UserStage",
     "__version__",
     "kernel",
@@ -54,6 +56,7 @@ _MODULES = {
     "LinearSystem": "testbed.linear.linear_system",
     "Run": "testbed.runs.run",
     "Simulation": "testbed.runs.simulation",
+    "Tuning": "testbed.tuning.tuning",
     "UserStage": "testbed.flight.stages",
     "kernel": "testbed.formation.compiled_law",
     "linearise": "testbed.linear.linearise",

@@ -280,6 +280,15 @@ class SideEffects:
         """Return whether there is something to be told."""
         return bool(self.worse) or self.too_few
 
+    @property
+    def lines(self) -> list[str]:
+        """A line for each quantity."""
+        return [
+            f"  {each.quantity.label}: {before} before, {after} after, {difference}"
+            for each in self.worse
+            for before, after, difference in (each.cells,)
+        ]
+
 
 def collect(
     changes: Mapping[FlightQuantity, PairedChange], unit_name: str, units: int

@@ -96,6 +96,21 @@ class HeldOutTest:
     side_effects: SideEffects
     margins: tuple[MarginChange, ...]
 
+    def __str__(self) -> str:
+        """Return the verdict, and a line for each number that got worse."""
+        change = self.comparison.change
+        lines = [f"{self.comparison.verdict}: {change.before:.4g} before, {change.after:.4g} after"]
+        if self.side_effects:
+            lines.append(f"worse, {self.side_effects.basis}")
+            lines += self.side_effects.lines
+        for each in self.margins:
+            if each.problem:
+                lines.append(f"margins at {each.bank_deg:g}° are not predicted: {each.problem}")
+            if each.side_effects:
+                lines.append(f"smaller margins at {each.bank_deg:g}°, {each.side_effects.basis}")
+                lines += each.side_effects.lines
+        return "\n".join(lines)
+
 
 class Tuning(NotCopied):
     """The flights of a tuning file, to be driven by any optimiser.

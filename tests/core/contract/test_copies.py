@@ -188,6 +188,7 @@ def make_objects(folder):
         "LinearSystem": testbed.linearise("simulation-3"),
         "Run": run,
         "Simulation": simulation,
+        "Tuning": testbed.Tuning("x8-middle-loop"),
         "UserStage": testbed.UserStage("mine", "fly by wire", stage),
         "FbwaCommand": law.FbwaCommand(*n),
         "Inbox": law.Inbox(*np.zeros((len(law.Inbox._fields), 3))),
