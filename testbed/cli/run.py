@@ -213,6 +213,7 @@ def run_command(
         if not quiet:
             console = result_console(json)
             size = format_size(*result.directory.iterdir()) if result.directory else ""
+            notes += _published_notes(scenario, loaded, overrides or ())
             render_table(result.metrics, console, log=result.directory, log_size=size, notes=notes)
             for path in sorted(result.directory.glob("*.py")) if result.directory else ():
                 console.write_line(f" {'control law':<20}{path}, a copy of its code")
@@ -244,6 +245,26 @@ def _window_notes(scenario: Scenario, duration_s: float) -> list[tuple[str, Text
             text += "; errors are those of the second half of the flight"
         notes.append(("windows not reached", Text(text, style="yellow")))
     return notes
+
+
+def _published_notes(
+    name: str, scenario: Scenario, overrides: Sequence[str]
+) -> list[tuple[str, Text]]:
+    """Say why a scenario of the user's has no column of published numbers."""
+    from rich.text import Text
+
+    from testbed.scenario import find_scenario, library
+    from testbed.scenario.load import uninherited_source
+
+    removed = any(each.startswith("scenario.published") for each in overrides)
+    own = find_scenario(name).parent != library() / "scenarios"
+    if scenario.scenario.published is not None or removed or not own:
+        return []
+    source = uninherited_source(name)
+    if not source:
+        return []
+    text = f"not compared with {source}: another name does not inherit published numbers"
+    return [("paper", Text(text, style="dim"))]
 
 
 def next_commands(directory: Path | None, scenario: Scenario) -> list[str]:

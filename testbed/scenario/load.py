@@ -34,6 +34,7 @@ from testbed.scenario.yaml_io import (
     Node,
     error_at,
     expand_preset,
+    header_of,
     inherit,
     null_removes,
     parse,
@@ -483,6 +484,27 @@ def _merged(files: list[Node]) -> Node:
     for top in reversed(tops):
         tree = inherit(drop_follower_keys(tree, top), top)
     return tree
+
+
+def uninherited_source(name_or_path: str | os.PathLike[str]) -> str:
+    """Return the source of published numbers that a scenario of another name does not inherit.
+
+    Empty if no file that it extends has any, or if it removes them itself.
+
+    Args:
+        name_or_path: of a scenario that has been loaded.
+    """
+    path = references.find_scenario(os.fspath(name_or_path))
+    *tops, tree = _files(read(path), (path,))[0]
+    source = ""
+    for top in reversed(tops):
+        before = header_of(tree).get("published")
+        tree = inherit(drop_follower_keys(tree, top), top)
+        if "published" in header_of(top) or "published" in header_of(tree):
+            source = ""
+        elif before is not None and isinstance(before.value, dict) and "source" in before.value:
+            source = str(before.value["source"].value)
+    return source
 
 
 _LINKS = ("network", "links")  # its maps, by sender and by receiver, have a key '*' for the rest

@@ -289,7 +289,7 @@ def inherit(base: Node, top: Node) -> Node:
 
     A renamed scenario does not inherit the question, the expectation and the published numbers.
     """
-    old_header, new_header = _header(base), _header(top)
+    old_header, new_header = header_of(base), header_of(top)
     old, new = old_header.get("name"), new_header.get("name")
     if new is None or (old is not None and old.value == new.value):
         return merge(base, top)
@@ -301,7 +301,7 @@ def inherit(base: Node, top: Node) -> Node:
     return merge(replace(base, value=below), top)
 
 
-def _header(tree: Node) -> dict[str, Node]:
+def header_of(tree: Node) -> dict[str, Node]:
     """Return the map under `scenario`, or an empty one."""
     header = tree.value.get("scenario") if isinstance(tree.value, dict) else None
     return header.value if header and isinstance(header.value, dict) else {}

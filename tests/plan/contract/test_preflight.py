@@ -3,6 +3,7 @@
 import json
 import math
 import re
+import shutil
 
 import pytest
 import small_study
@@ -283,6 +284,30 @@ def test_another_set_up_is_not_compared(tmp_path):
     assert all(line.startswith((" ", "─")) for line in done.stdout.splitlines() if line)
     same = [*words, str(tmp_path / "b"), "--set", "scenario.published.differs=[]"]
     assert "  ratio" in CliRunner().invoke(app, same).stdout
+
+
+OWN = """extends: simulation-3
+scenario: {name: first, duration_s: 1, windows: {rectangles: [0, 1], circles: null}}
+log: {mcap: false}
+"""
+
+
+def test_missing_column_of_published_is_explained(tmp_path):
+    """Of a scenario of the user's, through several files; not where it removes them itself."""
+    first, second = tmp_path / "first.yaml", tmp_path / "second.yaml"
+    first.write_text(OWN)
+    second.write_text("extends: first.yaml\nscenario: {name: second}\n")
+
+    def printed(path, *options):
+        done = CliRunner().invoke(app, ["run", str(path), "--out", str(tmp_path / "run"), *options])
+        shutil.rmtree(tmp_path / "run")
+        return " ".join(done.stdout.split())
+
+    why = "paper not compared with [HBH23] Table 1, Simulation 3: another name does not inherit"
+    assert why in printed(second)
+    assert "paper" not in printed(second, "--set", "scenario.published=null")
+    first.write_text(first.read_text().replace("{name:", "{published: null, name:"))
+    assert "paper" not in printed(second)
 
 
 # limits of the autopilot and of its commands

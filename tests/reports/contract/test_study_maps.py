@@ -9,8 +9,9 @@ from PIL import Image
 from report_pages import stands_alone
 from study_samples import METRIC, flights_of, study_of
 
+from testbed.core.errors import InputError
 from testbed.reports.html import render_page, save_figures
-from testbed.reports.study import study_figures, study_page, tables
+from testbed.reports.study import latex_table, study_figures, study_page, tables
 from testbed.reports.study.maps import study_map
 from testbed.views.matplotlib_backend import figure_svg
 
@@ -164,3 +165,47 @@ def test_map_for_a_paper_has_its_width(tmp_path):
     with Image.open(path) as picture:
         assert picture.width / picture.info["dpi"][0] == pytest.approx(3.5, abs=0.01)
     assert figure_svg(figure.grid) == figure_svg(figure.grid)
+
+
+def cases_of_map(near=6.0, seeds=1):
+    """A map of two laws: the second has half the error, and is nearer where the first key is 0."""
+    table, separation, random = [], [], np.random.default_rng(1)
+    for case, factor in (("one", 1.0), ("two", 0.5)):
+        for i, k in ((i, k) for i in range(5) for k in range(5)):
+            for seed in range(seeds):
+                noise = 0.01 * random.normal() if seeds > 1 else 0.0
+                table.append((case, seed, {X: 0.1 * i, Y: float(k)}, factor * (1.0 + k) + noise))
+                here = 6.0 if case == "one" or i else near - 0.1 * k
+                separation.append(here + noise)
+    study = study_of(flights_of(table), design="map", statistic="mean")
+    metrics = {**study.flights.metrics, "min_separation_m": np.array(separation)}
+    return replace(study, flights=replace(study.flights, metrics=metrics))
+
+
+@pytest.mark.parametrize("seeds", [1, 4])
+def test_map_tells_what_got_worse_point_by_point(seeds):
+    study = cases_of_map(near=4.0, seeds=seeds)
+    (row,) = tables.side_effects(study).rows
+    assert row[:4] == ("two", "smallest separation, m", "5 of 25", f"{X} 0, {Y} 4")
+    assert row[4:] == (pytest.approx(6.0, abs=0.02), pytest.approx(3.6, abs=0.02))
+    text = render_page(study_page(study))
+    assert "What got worse" in text and "5 of 25" in text
+    harmless = cases_of_map(near=6.4, seeds=seeds)
+    assert tables.side_effects(harmless) is None
+    assert "What got worse" not in render_page(study_page(harmless))
+
+
+def test_map_has_no_number_over_its_points():
+    """Points are chosen unevenly: cases are counted point by point, without a figure."""
+    study = cases_of_map()
+    (row,) = tables.cases(study).rows
+    assert row == (METRIC, "two", 25, 25, 0)
+    assert tables.cases(study).columns[2:] == ("points of both", "better", "worse")
+    assert tables.overview(study).columns == ("metric", "case", "flights", "least", "largest")
+    assert "lost or failed" not in " ".join(tables.losses(study).columns)
+    names = [each.name.split("-")[0] for each in study_figures(study)]
+    assert "map" in names and "cases" not in names
+    text = render_page(study_page(study))
+    assert "Cases are compared point by point" in text
+    with pytest.raises(InputError, match="a table of a map would have one number for each case"):
+        latex_table(study)
