@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from testbed.logs.read import RunLog
 
 MAX_LINES = 12  # of differences of the scenarios, and of versions
-WORSE = "worse in the second run", ("first", "second")
+WORSE = "also worse in the second run", ("first", "second")
 
 
 def compare_command(

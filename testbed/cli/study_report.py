@@ -75,7 +75,7 @@ def study_report_command(
         Path | None,
         output_option(
             metavar="FILE.tex",
-            help="Also write the metrics by case and point as a LaTeX table.",
+            help="Also write the metrics by case and point as a LaTeX table; not of a map.",
             suffixes=(".tex",),
         ),
     ] = None,
@@ -87,7 +87,7 @@ def study_report_command(
     ] = None,
     json: JsonFile = None,
 ) -> None:
-    """Write a report of a study: results, effects of parameters, losses, commands to repeat."""
+    """Write a report of a study: results, effects, what got worse, losses, commands to repeat."""
     from testbed.logs.file_record import check_folder_output, record_folder_output
     from testbed.reports.study import (
         study_figures,

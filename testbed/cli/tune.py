@@ -44,8 +44,8 @@ def tune_command(
 ) -> None:
     """Search gains that minimise a metric, and test them with held-out seeds.
 
-    Writes the gains to middle_loop.yaml, a scenario that flies them to tuned.yaml, every candidate
-    to candidates.csv, and result.json.
+    Prints also which other numbers got worse beyond noise. Writes the gains to middle_loop.yaml, a
+    scenario that flies them to tuned.yaml, every candidate to candidates.csv, and result.json.
     """
     from testbed.cli.progress import progress_counter
     from testbed.logs.run_directory import create_run_directory

@@ -248,6 +248,8 @@ def _interval_lines(
 
 def distributions(study: StudyData, metric: str) -> FigureSpec | None:
     """Draw the cumulative distribution of the metric, by case and law."""
+    if study.is_map:  # see `cases`
+        return None
     flights, values = study.flights, study.flights.metrics[metric]
     lines: list[Line] = []
     groups = flights.groups

@@ -56,8 +56,12 @@ def study_page(study: StudyData) -> Page:
 
 def _figures_html(study: StudyData) -> str:
     note = ""
-    if study.is_map and len(study.flights.cases) > 1:
-        note = f"<p>Cases are compared point by point, below. {escape(tables.UNEVEN_MAP)}</p>"
+    if study.is_map:
+        note = (
+            "<p>Figures of all points of a case together are left out: a map has more points where"
+            " the number changes, so they would show these points, not the area. Cases are compared"
+            " point by point.</p>"
+        )
     return "".join(map(figure_html, study_figures(study))) + note
 
 
