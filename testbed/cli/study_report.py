@@ -299,7 +299,7 @@ def _document(study: StudyData) -> dict[str, Any]:
     from testbed.reports.study import study_tables
 
     return {
-        "schema": 2,
+        "schema": 3,
         "study": study.name,
         "runs": study.flights.run.size,
         "planned": study.planned,

@@ -5,9 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from commands import call_command
 from PIL import Image
 from report_pages import stands_alone
-from study_samples import METRIC, flights_of, study_of
+from study_samples import METRIC, flights_of, study_of, write_study
 
 from testbed.core.errors import InputError
 from testbed.reports.html import render_page, save_figures
@@ -209,3 +210,25 @@ def test_map_has_no_number_over_its_points():
     assert "Cases are compared point by point" in text.replace("\n", " ")
     with pytest.raises(InputError, match="a table of a map would have one number for each case"):
         latex_table(study)
+
+
+MAP_PAGE = """
+study:
+  schema: 1
+  name: radio
+  scenario: simulation-3
+  design: map
+  refine: {metric: windows.laps.mean_rms_m, levels: 1}
+vary:
+  network.delay_s: {from: 0, to: 0.2, count: 3}
+  network.loss: {from: 0, to: 0.2, count: 3}
+"""
+
+
+def test_latex_table_of_a_map_is_refused(tmp_path):
+    """Before anything is written."""
+    path = write_study(tmp_path / "study.parquet", page=MAP_PAGE)
+    command = ("study-report", path, "--latex", "t.tex")
+    done = call_command(*command, cwd=tmp_path, code=2, columns=200)
+    assert "error: --latex t.tex: a table of a map would have one number for" in done.stderr
+    assert [each.name for each in tmp_path.iterdir()] == ["study.parquet"]

@@ -73,6 +73,57 @@ def test_cases_are_compared_in_pairs_of_flights(made):
     assert table.rows[1][2].high - table.rows[1][2].low > 0.2
 
 
+def two_cases(seeds, nearer=2.0, uneven=False):
+    """Cases of which the second has a smaller error, and comes nearer."""
+    random = np.random.default_rng(5)
+    rows, separation = [], []
+    for (k, case), loss, seed in product(enumerate(("a", "b")), (0.0, 0.2), range(seeds)):
+        if uneven and loss and seed > 3:
+            continue  # fewer seeds at this point
+        rows.append((case, seed, {"network.loss": loss}, 2.0 - k + 0.01 * random.normal()))
+        separation.append(6.0 + 3.0 * loss - nearer * k + 0.1 * random.normal())
+    study = study_of(flights_of(rows), uneven=uneven)
+    metrics = {**study.flights.metrics, "min_separation_m": np.array(separation)}
+    return replace(study, flights=replace(study.flights, metrics=metrics))
+
+
+@pytest.mark.parametrize("uneven", [False, True])
+def test_worse_numbers_are_told_beside_the_metric(uneven):
+    study = two_cases(6, uneven=uneven)
+    assert tables.cases(study).rows[1][4] == "better"
+    (row,) = tables.side_effects(study).rows
+    assert row[:2] == ("b", "smallest separation, m")
+    assert (row[2], row[3]) == (pytest.approx(6.3, abs=0.1), pytest.approx(4.3, abs=0.1))
+    assert row[4].value == pytest.approx(-2.0, abs=0.1) and row[4].count == 6
+    page = render_page(study_page(study))
+    assert "paired over 6 seeds" in page
+    console = Console(width=120, file=io.StringIO(), record=True)
+    print_summary(study, console)
+    text = console.export_text()
+    assert "what got worse" in text and "smallest separation, m" in text
+    harmless = two_cases(6, nearer=0.0, uneven=uneven)
+    assert tables.side_effects(harmless) is None
+    assert "What got worse" not in render_page(study_page(harmless))
+
+
+def test_worse_numbers_need_three_seeds():
+    study = two_cases(2)
+    assert tables.side_effects(study).rows == []
+    assert tables.cases(study).rows[1][4] == "too few"
+    text = "2 seeds are too few for an interval (fly 3 or more)"
+    assert text in render_page(study_page(study))
+    console = Console(width=120, file=io.StringIO(), record=True)
+    print_summary(study, console)
+    assert text in console.export_text().replace("\n", " ")
+
+
+def test_one_seed_has_verdicts_of_one_flight():
+    study = two_cases(1)
+    row = tables.cases(study).rows[1]
+    assert (row[4], row[5]) == ("better, of one flight", 1) and math.isnan(row[3].low)
+    assert tables.side_effects(study).rows[0][4].count == 1
+
+
 def test_effects_are_those_of_the_samples(made):
     study, _ = made
     found = {row[1:3]: row[3:] for row in tables.effects(study).rows}
