@@ -185,10 +185,11 @@ class FlightWorkers:
         self._choice = jobs, backend, scheduler
         self._report = report
         self._workers: WorkerPool | None = None
+        self._pool: FlightPool | None = None  # of the block that is open
 
     @contextmanager
     def pool(self, *, keep: bool = False) -> Iterator[FlightPool]:
-        """Return the pool for a block; see `open_flight_pool`.
+        """Return the pool for a block; see `open_flight_pool`. A block within it has the same one.
 
         Args:
             keep: whether the processes stay for the next block, unless this one raises an error.
@@ -196,14 +197,20 @@ class FlightWorkers:
         Raises:
             InputError: the backend is unknown, or the cluster cannot be reached.
         """
+        if self._pool is not None:
+            yield self._pool
+            return
         with stop_on_signals() as stop:
             self._workers = self._workers or _open_workers(*self._choice)
-            done = False
+            self._pool = FlightPool(self._workers, stop, self._report)
             try:
-                yield FlightPool(self._workers, stop, self._report)
-                done = True
+                yield self._pool
+            except BaseException:
+                keep = False
+                raise
             finally:
-                if not (done and keep):
+                self._pool = None
+                if not keep:
                     stop.without_interruption(self.close)
 
     def close(self) -> None:

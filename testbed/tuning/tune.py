@@ -290,7 +290,7 @@ def tune_gains(
     held_out = 2 * len(config.held_out_seeds) * len(tuning.without_seeds)
     most_flights = config.search.max_flights + held_out
     tuning.progress = lambda done, _: progress(done, most_flights)
-    with tuning:
+    with tuning.session():
         return _search(tuning, SearchLog(tuning, out), report)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from types import TracebackType
@@ -206,6 +207,15 @@ class Tuning(NotCopied):
     def close(self) -> None:
         """End the worker processes; the next flights start others."""
         self._workers.close()
+
+    @contextmanager
+    def session(self) -> Iterator[None]:
+        """Turn Ctrl-C and SIGTERM in the whole block into requests, and end the processes with it.
+
+        Outside of such a block that holds for each call that flies, and the processes stay.
+        """
+        with self._workers.pool():
+            yield
 
     def _why_not_copied(self) -> str:
         """See `NotCopied`: it has processes."""

@@ -85,7 +85,7 @@ def fly_with(monkeypatch):
                     yield function(task)
 
         @contextmanager
-        def pool(_, *, keep):
+        def pool(_, *, keep=False):
             yield Pool()
 
         monkeypatch.setattr(FlightWorkers, "pool", pool)
