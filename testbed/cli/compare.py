@@ -16,6 +16,7 @@ from testbed.cli.output import (
     MISSING,
     PipeSafeConsole,
     describe_file,
+    print_margin_changes,
     print_side_effects,
     result_console,
     write_json_output,
@@ -27,9 +28,11 @@ from testbed.core.files import report_write_errors
 if TYPE_CHECKING:
     from testbed.golden.compare_runs import MetricPair, PositionDifference, RunDifference
     from testbed.logs.read import RunLog
+    from testbed.studies.margin_changes import MarginChange
 
 MAX_LINES = 12  # of differences of the scenarios, and of versions
-WORSE = "also worse in the second run", ("first", "second")
+NAMES = "first", "second"  # the runs
+WORSE = "also worse in the second run", NAMES
 
 
 def compare_command(
@@ -59,11 +62,20 @@ def compare_command(
             suffixes=(".pdf", ".svg", ".png"),
         ),
     ] = None,
+    margins: Annotated[
+        bool,
+        typer.Option(
+            "--margins",
+            help="With --numbers: also predict the margins of both scenarios in straight flight.",
+        ),
+    ] = False,
     json: JsonFile = None,
     rrd: RrdFile = None,
 ) -> None:
     """Overlay two runs in a Rerun viewer, draw their errors, or compare all their numbers."""
-    check_options(numbers=numbers, within=within, json=json, rrd=rrd, figure=figure)
+    check_options(
+        numbers=numbers, within=within, margins=margins, json=json, rrd=rrd, figure=figure
+    )
     if figure:
         _draw(figure, (first, second))
         return
@@ -76,8 +88,9 @@ def compare_command(
     paths = find_run(first), find_run(second)
     logs = _read(paths[0]), _read(paths[1])
     found = compare_runs(*logs, tolerance=within)
-    write_json_output(json, _document(found, paths))
-    _print_comparison(found, logs, paths, result_console(json))
+    predicted = _predict(logs, paths) if margins else []
+    write_json_output(json, _document(found, paths, predicted))
+    _print_comparison(found, logs, paths, predicted, result_console(json))
     raise typer.Exit(ExitCode.OK if found.same else ExitCode.DIFFERENT)
 
 
@@ -85,6 +98,7 @@ def check_options(
     *,
     numbers: bool,
     within: float | None,
+    margins: bool,
     json: Path | None,
     rrd: Path | None,
     figure: Path | None,
@@ -98,8 +112,8 @@ def check_options(
         raise InputError(f"--figure {figure}: leave out {'--numbers' if numbers else '--rrd'}")
     if numbers and rrd:
         raise InputError(f"--rrd {rrd}: is for the overlay; leave out --numbers")
-    if not numbers and (within is not None or json):
-        option = "--json" if within is None else "--within"
+    if not numbers and (within is not None or margins or json):
+        option = "--within" if within is not None else "--margins" if margins else "--json"
         raise InputError(f"{option}: is for the comparison of metrics; write --numbers too")
     if within is not None and not 0.0 <= within < 1.0:
         raise InputError(f"--within {within:g}: write a share from 0 to 1, such as 0.01 for 1 %")
@@ -141,8 +155,35 @@ def _read(path: Path) -> RunLog:
     return log
 
 
+def _predict(logs: Sequence[RunLog], paths: Sequence[Path]) -> list[MarginChange]:
+    """Predict the margins of the scenarios of two runs.
+
+    Raises:
+        InputError: this version cannot read a scenario.
+    """
+    from testbed.logs.run_directory import SCENARIO_NAME
+    from testbed.pool.flight_pool import open_flight_pool
+    from testbed.scenario import load_scenario, loads
+    from testbed.studies.margin_changes import predict_changes
+
+    # the file beside the log names the copy of a law
+    files = [path.parent / SCENARIO_NAME for path in paths]
+    scenarios = [
+        load_scenario(file)
+        if file.is_file()
+        else loads(log.info.scenario_yaml, source=f"--margins: {log.info.scenario_name}")
+        for file, log in zip(files, logs, strict=True)
+    ]
+    with open_flight_pool(jobs=len(scenarios)) as pool:
+        return predict_changes(scenarios, pool)
+
+
 def _print_comparison(
-    found: RunDifference, logs: Sequence[RunLog], paths: Sequence[Path], console: PipeSafeConsole
+    found: RunDifference,
+    logs: Sequence[RunLog],
+    paths: Sequence[Path],
+    predicted: Sequence[MarginChange],
+    console: PipeSafeConsole,
 ) -> None:
     for label, log, path in zip(("first", "second"), logs, paths, strict=True):
         console.write_line(f" {label:10}{path}: {log.info.scenario_name}, seed {log.info.seed}")
@@ -160,7 +201,8 @@ def _print_comparison(
     console.print(table)
     console.write_line()
     print_side_effects(console, found.side_effects, *WORSE)
-    if found.side_effects:
+    print_margin_changes(console, predicted, NAMES)
+    if found.side_effects or any(each.side_effects or each.problem for each in predicted):
         console.write_line()
     console.write_line(f" {'motion':10}{_motion(found)}")
     for each in found.positions:
@@ -205,7 +247,9 @@ def _verdict(found: RunDifference) -> str:
     return f"equal: {found.compared} metrics within {100 * found.tolerance:g} %"
 
 
-def _document(found: RunDifference, paths: Sequence[Path]) -> dict[str, Any]:
+def _document(
+    found: RunDifference, paths: Sequence[Path], predicted: Sequence[MarginChange]
+) -> dict[str, Any]:
     from testbed.metrics.side_effects import to_document
 
     first, second = paths
@@ -223,6 +267,9 @@ def _document(found: RunDifference, paths: Sequence[Path]) -> dict[str, Any]:
         "same_events": found.same_events,
         "shared_samples": int(found.shared_s.size),
         "worse": to_document(found.side_effects),
+        "margins": [
+            {"problem": each.problem, "worse": to_document(each.side_effects)} for each in predicted
+        ],
         "position_differences": [asdict(each) for each in found.positions],
     }
 

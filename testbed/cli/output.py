@@ -29,6 +29,7 @@ from testbed.core.files import (
 
 if TYPE_CHECKING:
     from testbed.metrics.side_effects import SideEffects
+    from testbed.studies.margin_changes import MarginChange
     from testbed.views.panels import PanelGrid
 
 MISSING = "–"  # in a cell without a number
@@ -152,6 +153,22 @@ def print_side_effects(
     for quantity, cells in ((each.quantity, each.cells) for each in found.worse):
         table.add_row(f" {quantity.label}", *cells)
     console.print_table(table)
+
+
+def print_margin_changes(
+    console: PipeSafeConsole, changes: Iterable[MarginChange], names: tuple[str, str]
+) -> None:
+    """Print which predicted margins got smaller, or why they are not predicted.
+
+    Args:
+        console: of the results.
+        changes: at each bank.
+        names: headings of the margins before and after.
+    """
+    for each in changes:
+        if each.problem:
+            console.write_line(f" margins {each.place} are not predicted: {each.problem}", "dim")
+        print_side_effects(console, each.side_effects, f"smaller margins {each.place}", names)
 
 
 def save_plot(plot: PanelGrid, path: Path) -> None:

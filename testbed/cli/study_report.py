@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -85,6 +86,13 @@ def study_report_command(
             "DIR", "Also write every table as CSV to this folder.", check=check_output_folder
         ),
     ] = None,
+    margins: Annotated[
+        bool,
+        typer.Option(
+            "--margins",
+            help="Also predict the margins of each case in straight flight, at its first point.",
+        ),
+    ] = False,
     json: JsonFile = None,
 ) -> None:
     """Write a report of a study: results, effects, what got worse, losses, commands to repeat."""
@@ -111,6 +119,8 @@ def study_report_command(
     path = find_study_file(study)
     report = default_report(path) if out is None else out
     data = read_study(path, metrics=metric or (), statistic=statistic)
+    if margins:
+        data = _with_margins(data, path)
     drawn = list(study_figures(data)) if figures else []
     check_figures(drawn, figures, ending)
     listed = list(study_tables(data)) if tables else []
@@ -133,6 +143,35 @@ def study_report_command(
             files = write_tables(listed, tables)
         record_folder_output(tables, [each.name for each in files])
         console.write_line(f" tables   {len(files)} in {tables}")
+
+
+def _with_margins(study: StudyData, path: Path) -> StudyData:
+    """Predict the margins of the cases.
+
+    Raises:
+        InputError: the study has no cases, or this version cannot read their scenarios.
+    """
+    from testbed.pool.flight_pool import open_flight_pool
+    from testbed.scenario import loads
+    from testbed.studies.margin_changes import predict_changes
+    from testbed.studies.table import read_table
+
+    cases = study.flights.cases
+    if len(cases) < 2 or study.is_map:
+        kind = "is a map" if study.is_map else "has none"
+        raise InputError(f"--margins: is for cases of a study, and this one {kind} (leave it out)")
+    texts = read_table(path, ()).metadata
+    scenarios = [
+        loads(texts.get(f"scenario.{case}.yaml", ""), source=f"--margins: case {case}")
+        for case in cases
+    ]
+    with open_flight_pool() as pool:
+        changes = dict(zip(cases[1:], predict_changes(scenarios, pool), strict=True))
+    return replace(
+        study,
+        margins={case: each.side_effects for case, each in changes.items()},
+        unpredicted={case: each.problem for case, each in changes.items() if each.problem},
+    )
 
 
 def _latex(study: StudyData, path: Path | None) -> str:

@@ -14,6 +14,7 @@ from testbed.cli.options import Jobs, JsonFile, tune_names, value_option
 from testbed.cli.output import (
     PipeSafeConsole,
     message_console,
+    print_margin_changes,
     print_side_effects,
     result_console,
     write_json_output,
@@ -145,11 +146,7 @@ def _print_comparison(held_out: HeldOutTest, seeds: list[int], console: PipeSafe
     color = "green" if comparison.better else "yellow"
     console.write_line(f" {comparison.verdict}", f"bold {color}")
     print_side_effects(console, held_out.side_effects, "worse with the new gains", NAMES)
-    for each in held_out.margins:
-        where = f"at {each.bank_deg:g}° of bank" if each.bank_deg else "in straight flight"
-        if each.problem:
-            console.write_line(f" margins {where} are not predicted: {each.problem}", "dim")
-        print_side_effects(console, each.side_effects, f"smaller margins {where}", NAMES)
+    print_margin_changes(console, held_out.margins, NAMES)
 
 
 def _seed_ranges(seeds: list[int]) -> str:

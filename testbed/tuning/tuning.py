@@ -17,7 +17,6 @@ from testbed.core.errors import InputError, NotCopied
 from testbed.core.records import Array
 from testbed.metrics.flat_numbers import flatten_metrics
 from testbed.metrics.side_effects import (
-    Columns,
     SideEffects,
     flight_numbers,
     seeds_change_nothing,
@@ -25,11 +24,12 @@ from testbed.metrics.side_effects import (
     to_columns,
 )
 from testbed.pool.flight_pool import FlightWorkers, Progress, Report, group_numbers
-from testbed.pool.flight_task import COMPLETED, INVALID, FlightResult, FlightTask
+from testbed.pool.flight_task import INVALID, FlightResult, FlightTask
 from testbed.scenario import Scenario, middle_loop_gains, set_seed
 from testbed.scenario.arguments import check_calls, check_count, check_path
 from testbed.scenario.problems import Problem, ScenarioError, did_you_mean
 from testbed.scenario.yaml_io import to_inline, walk
+from testbed.studies.margin_changes import MarginChange, margin_change
 from testbed.studies.plan import Plan, StudyRun
 from testbed.studies.plan_check import FlownScenarios
 from testbed.studies.predicted_numbers import predict_numbers
@@ -67,21 +67,6 @@ class Costs(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class MarginChange:
-    """Predicted margins before and after, at one bank.
-
-    Attributes:
-        bank_deg: of the follower that banks most; 0: straight.
-        side_effects: margins that got smaller.
-        problem: why there are none; "": there are.
-    """
-
-    bank_deg: float
-    side_effects: SideEffects
-    problem: str
-
-
-@dataclass(frozen=True, slots=True)
 class HeldOutTest:
     """Gains compared with those of the scenario, on seeds that a search does not use.
 
@@ -106,9 +91,9 @@ class HeldOutTest:
             lines += self.side_effects.lines
         for each in self.margins:
             if each.problem:
-                lines.append(f"margins at {each.bank_deg:g}° are not predicted: {each.problem}")
+                lines.append(f"margins {each.place} are not predicted: {each.problem}")
             if each.side_effects:
-                lines.append(f"smaller margins at {each.bank_deg:g}°, {each.side_effects.basis}")
+                lines.append(f"smaller margins {each.place}, {each.side_effects.basis}")
                 lines += each.side_effects.lines
         return "\n".join(lines)
 
@@ -455,8 +440,9 @@ class Tuning(NotCopied):
             (costs[0], costs[1]),
             side_effects(numbers[0], numbers[1], np.repeat(seeds, len(runs)), point),
             tuple(
-                _margin_change(bank, margins[i * 2 * len(cases) :][: 2 * len(cases)])
+                margin_change(bank, pair[: len(cases)], pair[len(cases) :])
                 for i, bank in enumerate(banks)
+                for pair in (margins[2 * i * len(cases) :][: 2 * len(cases)],)
             ),
         )
 
@@ -526,22 +512,3 @@ def _describe_missing(key: str, part: str, known: Sequence[str]) -> str:
     return (
         f"{text} (write its present value in the scenario: controller: {{options: {{{name}: 1}}}})"
     )
-
-
-def _margin_change(bank_deg: float, results: Sequence[FlightResult]) -> MarginChange:
-    """Compare predicted margins: of the cases before, then of those after; the least counts."""
-    nothing = SideEffects((), "", too_few=False)
-    for each in results:
-        if each.outcome != COMPLETED or each.metrics is None:
-            return MarginChange(bank_deg, nothing, each.error.partition(": ")[2] or each.error)
-    half, one = len(results) // 2, np.zeros(1, dtype=np.int64)
-    before, after = (
-        _least_of(to_columns([flatten_metrics(each.metrics or {}) for each in part]))
-        for part in (results[:half], results[half:])
-    )
-    found = replace(side_effects(before, after, one, one), basis="predicted by linearising")
-    return MarginChange(bank_deg, found, "")
-
-
-def _least_of(numbers: Columns) -> Columns:
-    return {name: np.fmin.reduce(values, keepdims=True) for name, values in numbers.items()}

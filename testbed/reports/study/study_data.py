@@ -408,6 +408,8 @@ class StudyData:
         refined_metric: of a map, by which it was refined; "": of no map.
         contour: value of that metric whose contour is drawn.
         uneven: whether points have different numbers of seeds, because the study chose them.
+        margins: predicted margins that are smaller in a case than in the first one.
+        unpredicted: why there are none of a case.
     """
 
     name: str
@@ -427,6 +429,8 @@ class StudyData:
     refined_metric: str = ""
     contour: float | None = None
     uneven: bool = False
+    margins: Mapping[str, SideEffects] = field(default_factory=dict)
+    unpredicted: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def random(self) -> bool:

@@ -235,12 +235,17 @@ def side_effects(study: StudyData) -> ReportTable | None:
     first, out, bases = flights.cases[0], [], []
     for k, case in enumerate(flights.cases[1:], 1):
         found = study.side_effects(k)
-        for each in found.worse:
+        margins = study.margins.get(case)
+        for each in (*found.worse, *(margins.worse if margins else ())):
             change = each.change
             numbers = change.before, change.after, estimate_of(change)
             out.append((case, each.quantity.label, *numbers))
         if found:
             bases.append(f"{case}: {found.basis}")
+        if margins:
+            bases.append(f"{case}: margins in straight flight, {margins.basis}")
+        if problem := study.unpredicted.get(case):
+            bases.append(f"{case}: margins are not predicted: {problem}")
     if not bases:
         return None
     note = (

@@ -4,13 +4,17 @@ With k = 6.4 the error of Simulation 3 is halved, for a speed set that is left, 
 and half of the latency margin; with k = 3.04 it is smaller by 1 %, for nothing.
 """
 
+import functools
 import json
+from unittest.mock import patch
 
 import pytest
 from commands import call_command
 from small_study import in_this_process
 
 import testbed
+from testbed.scenario import dump, loads
+from testbed.studies.predicted_numbers import predict_numbers
 
 METRIC = "windows.rectangles.mean_rms_m"
 BAD, HARMLESS = 6.4, 3.04
@@ -23,7 +27,7 @@ STUDY = f"""study:
   schema: 1
   name: cases
   scenario: paying.yaml
-  seeds: 3
+  seeds: 2
   metrics: [{METRIC}]
 cases:
   before: {{}}
@@ -74,6 +78,30 @@ def test_compare_tells_what_got_worse(runs):
     assert all(text in drawn for text in PRICE)
 
 
+@pytest.fixture
+def made_up_margins(monkeypatch):
+    """Margins nearly as those that are predicted, which takes seconds: `tune` below does it."""
+
+    def predict(bank_deg, scenario):
+        late = {3.0: 0.2, BAD: 0.1, HARMLESS: 0.195}[scenario.formation.k]
+        return {"margins": {"throttle_latency_s": late, "damping": 0.3}}
+
+    monkeypatch.setattr("testbed.studies.margin_changes.predict_numbers", predict)
+
+
+@pytest.mark.usefixtures("made_up_margins")
+@pytest.mark.parametrize(("other", "latency_s"), [("bad", 0.1), ("harmless", 0.195)])
+def test_compare_predicts_margins(runs, other, latency_s):
+    """Of the scenarios as flown."""
+    with in_this_process():
+        done = compare(runs, other, "--numbers", "--margins", "--json", "m.json", code=3)
+    (found,) = json.loads((runs / "m.json").read_text())["margins"]
+    told = [(each["key"], each["after"]) for each in found["worse"]]
+    assert told == ([("throttle_latency_s", latency_s)] if other == "bad" else [])
+    text = "smaller margins in straight flight, predicted by linearising"
+    assert (text in done.stdout) is (other == "bad")
+
+
 def test_compare_says_nothing_of_harmless_gains(runs):
     done = compare(runs, "harmless", "--numbers", "--json", "same.json", code=3)
     assert "worse" not in done.stdout
@@ -81,13 +109,13 @@ def test_compare_says_nothing_of_harmless_gains(runs):
     assert "worse" not in compare(runs, "harmless", "--figure", "a.png", code=0).stdout
 
 
+@pytest.mark.usefixtures("made_up_margins")
 def test_study_report_tells_what_got_worse(folder):
     """Of the bad case alone, also on the page."""
     with in_this_process():
         call_command("sweep", "cases.yaml", "--out", "s", cwd=folder, code=0, columns=120)
-    done = call_command(
-        "study-report", "s", "--json", "s.json", "--tables", "t", cwd=folder, code=0, columns=160
-    )
+        options = ("--margins", "--json", "s.json", "--tables", "t")
+        done = call_command("study-report", "s", *options, cwd=folder, code=0, columns=160)
     tables = json.loads((folder / "s.json").read_text())["tables"]
     verdicts = {row["case"]: (row["verdict"], row["seeds"]) for row in tables["cases"]}
     better = "better, of one flight"
@@ -95,16 +123,30 @@ def test_study_report_tells_what_got_worse(folder):
     assert {row["case"] for row in tables["side-effects"]} == {"bad"}
     told = " ".join(row["worse"] for row in tables["side-effects"])
     page = (folder / "s/report.html").read_text()
-    for text in PRICE:
+    (latency,) = [row for row in tables["side-effects"] if row["worse"].startswith("throttle lat")]
+    assert latency["this case"] < 0.52 * latency["before"]
+    for text in (*PRICE, "throttle latency margin, s"):
         assert text in told and text in done.stdout and text in page
-    assert "3 seeds, which change no number" in done.stdout
+    assert "2 seeds, which change no number" in done.stdout
     assert "bad: of one flight each: no seed changes them" in page
     assert (folder / "t/side-effects.csv").read_text().startswith("case,worse,before,this case,")
 
 
+@functools.cache
+def predict_before(bank_deg, yaml):
+    """The margins of the scenario, which both searches need."""
+    return predict_numbers(bank_deg, loads(yaml))
+
+
+def predict(bank_deg, scenario):
+    if scenario.formation.k == 3.0:
+        return predict_before(bank_deg, dump(scenario))
+    return predict_numbers(bank_deg, scenario)
+
+
 def tune(folder, name, start):
     (folder / f"{name}.yaml").write_text(TUNE.format(start=start))
-    with in_this_process():
+    with in_this_process(), patch("testbed.tuning.tuning.predict_numbers", predict):
         options = ("--out", f"{name}-out", "--json", f"{name}.json")
         done = call_command("tune", f"{name}.yaml", *options, cwd=folder, code=0, columns=120)
     return done.stdout, json.loads((folder / f"{name}.json").read_text())["comparison"]

@@ -100,7 +100,7 @@ def test_compare_tests_on_held_out_seeds(file, workers):
     (straight,) = found.margins
     assert "write jsbsim" in straight.problem
     assert str(found).startswith(found.comparison.verdict)
-    assert "margins at 0° are not predicted" in str(found)
+    assert "margins in straight flight are not predicted" in str(found)
 
 
 @pytest.mark.parametrize(
