@@ -217,17 +217,24 @@ def mean_by_unit(values: Array, unit: Integers, point: Integers) -> Array:
 Pool = Callable[[Array, Integers, Integers], Array]  # as `mean_by_unit`
 
 
-def seeds_change_nothing(numbers: Columns, point: Integers) -> bool:
-    """Return whether all flights of each point have the same numbers.
+def repeats(numbers: Columns, point: Integers) -> BoolArray:
+    """Return which flights (R,) have all numbers of the first flight of their point.
 
     Args:
         numbers: by name.
         point: (R,) number of the set of settings, without the seed.
     """
     _, first, index = np.unique(point, return_index=True, return_inverse=True)
-    return all(
-        np.array_equal(values, values[first][index], equal_nan=True) for values in numbers.values()
-    )
+    same = np.ones(point.size, dtype=np.bool_)
+    for values in numbers.values():
+        of_first = values[first][index]
+        same &= (values == of_first) | (np.isnan(values) & np.isnan(of_first))
+    return same
+
+
+def seeds_change_nothing(numbers: Columns, point: Integers) -> bool:
+    """Return whether all flights of each point have the same numbers; see `repeats`."""
+    return bool(repeats(numbers, point).all())
 
 
 @dataclass(frozen=True, slots=True)

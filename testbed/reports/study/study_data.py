@@ -24,7 +24,7 @@ from testbed.metrics.side_effects import (
     SideEffects,
     change_of,
     mean_by_unit,
-    seeds_change_nothing,
+    repeats,
     side_effects,
 )
 from testbed.reports.study.uneven_values import UnevenValues
@@ -285,18 +285,30 @@ class StudyFlights:
 
     def pairs(self, case: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return the flights of the first case and those of another at the same point and seed."""
+        return self._pairs[case]
+
+    @cached_property
+    def _pairs(self) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
         keys = list(zip(self.point.tolist(), self.seed.tolist(), strict=True))
-        own = np.flatnonzero(self.case_index == case).tolist()
-        first = {keys[k]: k for k in np.flatnonzero(self.case_index == 0).tolist()}
-        found = [(first[keys[k]], k) for k in own if keys[k] in first]
-        before, after = np.array(found, dtype=np.int64).reshape(-1, 2).T
-        return before, after
+        rows = [np.flatnonzero(self.case_index == k).tolist() for k in range(len(self.cases))]
+        first = {keys[k]: k for k in rows[0]}
+        found = []
+        for own in rows:
+            both = [(first[keys[k]], k) for k in own if keys[k] in first]
+            before, after = np.array(both, dtype=np.int64).reshape(-1, 2).T
+            found.append((before, after))
+        return found
+
+    @cached_property
+    def repeats(self) -> BoolArray:
+        """Whether (R,) a flight has all numbers of the first one of its case and point."""
+        return repeats(self.metrics, self.case_point)
 
     @cached_property
     def same_for_all_seeds(self) -> bool:
         """Whether there are several seeds, and they change no number."""
         several = np.unique(self.case_point).size < len(self.run)
-        return several and seeds_change_nothing(self.metrics, self.case_point)
+        return several and bool(self.repeats.all())
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -518,16 +530,9 @@ class StudyData:
         differences = self._pool(
             values[after] - values[before], self.unit[after], flights.case_point[after]
         )
-        one = self._one_flight(np.concatenate([before, after]))
+        rows = np.concatenate([before, after])
+        one = not self.random and bool(flights.repeats[rows].all())
         return change_of(float(old.mean()), float(new.mean()), differences, one_flight=one)
-
-    def _one_flight(self, rows: NDArray[np.int64]) -> bool:
-        """Whether flights are the same for all seeds."""
-        flights = self.flights
-        if self.random:
-            return False
-        numbers = {name: values[rows] for name, values in flights.metrics.items()}
-        return seeds_change_nothing(numbers, flights.case_point[rows])
 
     def _pool(self, values: Array, unit: NDArray[np.int64], point: NDArray[np.int64]) -> Array:
         """Return values by unit; see `UnevenValues`."""
