@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from rich.table import Table
 from rich.text import Text
 
+from testbed.cli.figure_options import DEFAULT_LOOK, FigureLook, draws_figures
 from testbed.cli.options import (
     JsonFile,
     Overrides,
@@ -27,7 +28,6 @@ from testbed.cli.output import (
     MISSING,
     result_console,
     ruled_table,
-    save_plot,
     write_json_output,
 )
 from testbed.core.errors import InputError
@@ -49,6 +49,7 @@ MODELS = {
 }
 
 
+@draws_figures("plot")
 def air_command(
     scenario: ScenarioName,
     out: Annotated[
@@ -89,6 +90,7 @@ def air_command(
         ),
     ] = None,
     json: JsonFile = None,
+    look: FigureLook = DEFAULT_LOOK,
 ) -> None:
     """Sample a scenario's wind along a straight flight, without simulating aircraft.
 
@@ -108,7 +110,7 @@ def air_command(
     if out:
         _save(out, to_arrays(loaded, path, record))
     if plot:
-        _plot(plot, loaded, path, record)
+        _plot(plot, loaded, path, record, look)
     write_json_output(json, document)
     console = result_console(json)
     console.print(_headline(loaded, path))
@@ -172,7 +174,9 @@ def _save(path: Path, arrays: Mapping[str, Any]) -> None:
         np.savez(file, **arrays)
 
 
-def _plot(file: Path, scenario: Scenario, path: ProbePath, record: ProbeRecord) -> None:
+def _plot(
+    file: Path, scenario: Scenario, path: ProbePath, record: ProbeRecord, look: FigureLook
+) -> None:
     from testbed.probes.air_probe import (
         closed_form,
         coherence_band,
@@ -200,7 +204,7 @@ def _plot(file: Path, scenario: Scenario, path: ProbePath, record: ProbeRecord) 
         and (closed.coherence, *coherence_band(closed.coherence, found.freedom)),
         unresolved=unresolved_waves(scenario, path),
     )
-    save_plot(wind_figure(picture), file)
+    look.save(wind_figure(picture), file)
 
 
 def _document(scenario: Scenario, path: ProbePath, record: ProbeRecord) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from testbed.cli.exit_codes import ExitCode
+from testbed.cli.figure_options import DEFAULT_LOOK, FigureLook, draws_figures
 from testbed.cli.options import (
     Jobs,
     JsonFile,
@@ -44,6 +45,7 @@ class Annotations(StrEnum):
     GITHUB = "github"
 
 
+@draws_figures("figures")
 def check_command(
     scenarios: Annotated[
         list[str] | None,
@@ -126,6 +128,7 @@ def check_command(
             "scenario's expect.",
         ),
     ] = False,
+    look: FigureLook = DEFAULT_LOOK,
 ) -> None:
     """Fly scenarios and compare their metrics with golden tables."""
     from testbed.cli.progress import progress_counter
@@ -144,7 +147,7 @@ def check_command(
         for option, value in {**flown, **files, **kinds, **last}.items():
             if value is not None:
                 raise InputError(f"{option}: --trend flies nothing; leave {option} out")
-        show_trend(trend, scenarios or (), json=json, figures=figures, ending=ending)
+        show_trend(trend, scenarios or (), json=json, figures=figures, ending=ending, look=look)
         return
     if figures:
         raise InputError("--figures: are of --trend DIR; write it too, or --reports for failures")

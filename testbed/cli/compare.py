@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,6 +11,7 @@ import typer
 from rich.table import Table
 
 from testbed.cli.exit_codes import ExitCode
+from testbed.cli.figure_options import DEFAULT_LOOK, FigureLook, draws_figures
 from testbed.cli.options import JsonFile, RrdFile, RunName, output_option, value_option
 from testbed.cli.output import (
     MISSING,
@@ -23,7 +24,6 @@ from testbed.cli.output import (
 )
 from testbed.cli.view import overlay_runs
 from testbed.core.errors import InputError
-from testbed.core.files import report_write_errors
 
 if TYPE_CHECKING:
     from testbed.golden.compare_runs import MetricPair, PositionDifference, RunDifference
@@ -35,6 +35,7 @@ NAMES = "first", "second"  # the runs
 WORSE = "also worse in the second run", NAMES
 
 
+@draws_figures("figure")
 def compare_command(
     first: RunName,
     second: Annotated[str, typer.Argument(metavar="RUN", help="The run to compare it with.")],
@@ -71,13 +72,14 @@ def compare_command(
     ] = False,
     json: JsonFile = None,
     rrd: RrdFile = None,
+    look: FigureLook = DEFAULT_LOOK,
 ) -> None:
     """Overlay two runs in a Rerun viewer, draw their errors, or compare all their numbers."""
     check_options(
         numbers=numbers, within=within, margins=margins, json=json, rrd=rrd, figure=figure
     )
     if figure:
-        _draw(figure, (first, second))
+        _draw(figure, (first, second), look)
         return
     if not numbers:
         overlay_runs(first, second, rrd=rrd)
@@ -119,7 +121,7 @@ def check_options(
         raise InputError(f"--within {within:g}: write a share from 0 to 1, such as 0.01 for 1 %")
 
 
-def _draw(path: Path, names: Sequence[str]) -> None:
+def _draw(path: Path, names: Sequence[str], look: FigureLook) -> None:
     """Draw the errors of two runs, and print the file and the labels.
 
     Raises:
@@ -128,14 +130,12 @@ def _draw(path: Path, names: Sequence[str]) -> None:
     """
     from testbed.golden.compare_runs import run_side_effects
     from testbed.reports import compare_figure, read_run, run_labels
-    from testbed.reports.figure_spec import PAPER_TEXT_PT
-    from testbed.views.matplotlib_backend import save_figure
+    from testbed.reports.figure_compare import COLUMN_IN
 
     first, second = (read_run(name) for name in names)
     labels = run_labels(first, second, names)
     grid = compare_figure(first, second, labels)
-    with report_write_errors(f"--figure {path}"):
-        save_figure(grid, path, text_pt=PAPER_TEXT_PT)
+    replace(look, width=look.width or COLUMN_IN, no_title=True).save(grid, path, "--figure")
     console = result_console()
     for label, run, style in zip(labels, (first, second), ("solid", "dashed"), strict=True):
         console.write_line(f" {style:10}{label}: {run.path}")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.table import Table
 
+from testbed.cli.figure_options import DEFAULT_LOOK, FigureLook, draws_figures
 from testbed.cli.margins import Method
 from testbed.cli.options import (
     JsonFile,
@@ -22,7 +23,7 @@ from testbed.cli.options import (
     split_list,
     value_option,
 )
-from testbed.cli.output import MISSING, result_console, ruled_table, save_plot, write_json_output
+from testbed.cli.output import MISSING, result_console, ruled_table, write_json_output
 from testbed.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -53,6 +54,7 @@ class _DelayRow:
     flown: SteadyErrors | None
 
 
+@draws_figures("plot")
 def delay_command(
     scenario: ScenarioName,
     delays: Annotated[
@@ -82,6 +84,7 @@ def delay_command(
     plot: Annotated[
         Path | None, figure_option("Draw the offsets over the delay: .png, .pdf or .svg.")
     ] = None,
+    look: FigureLook = DEFAULT_LOOK,
 ) -> None:
     """Find how far late messages leave the followers from their slots in steady flight.
 
@@ -115,8 +118,6 @@ def delay_command(
                     rows.append(row)
                     progress(len(rows), len(times) * len(origins(loaded)))
     write_json_output(json, _document(loaded, bank, rows))
-    if plot:
-        _draw(loaded, bank, rows, plot)
     console = result_console(json)
     turn = f"at {bank:g}° of bank" if bank else "straight"
     profile = loaded.controller.profile
@@ -130,6 +131,8 @@ def delay_command(
                 about = f" {how}, {row.delay_s:g} s, from {row.extrapolate_from}: "
                 colour = "yellow" if found.problem else ""
                 console.write_line(about + (found.problem or found.note), colour)
+    if plot:
+        _draw(loaded, bank, rows, plot, look)
 
 
 def _rows(
@@ -221,13 +224,15 @@ def _document(scenario: Scenario, bank: float, rows: Sequence[_DelayRow]) -> dic
     }
 
 
-def _draw(scenario: Scenario, bank: float, rows: Sequence[_DelayRow], file: Path) -> None:
+def _draw(
+    scenario: Scenario, bank: float, rows: Sequence[_DelayRow], file: Path, look: FigureLook
+) -> None:
     from testbed.views.delay_figure import delay_figure
 
     turn = f"at {bank:g}° of bank" if bank else "straight"
     subtitle = f"offset by late messages, {turn}, profile {scenario.controller.profile}"
     followers = [_of_follower(name, i, rows) for i, name in enumerate(scenario.aircraft_names[1:])]
-    save_plot(delay_figure(scenario.name, subtitle, followers), file)
+    look.save(delay_figure(scenario.name, subtitle, followers), file)
 
 
 def _of_follower(name: str, i: int, rows: Sequence[_DelayRow]) -> FollowerOffsets:

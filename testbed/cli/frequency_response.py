@@ -11,6 +11,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
+from testbed.cli.figure_options import DEFAULT_LOOK, FigureLook, draws_figures
 from testbed.cli.options import (
     Jobs,
     JsonFile,
@@ -29,7 +30,6 @@ from testbed.cli.output import (
     message_console,
     result_console,
     ruled_table,
-    save_plot,
     write_json_output,
 )
 from testbed.core.errors import InputError
@@ -68,6 +68,7 @@ class OutputName(StrEnum):
 _UNITS = {"leader": "m of the leader", "gust": "m/s of the gust", "message": "m of the message"}
 
 
+@draws_figures("plot")
 def frequency_response_command(
     scenario: ScenarioName,
     input: Annotated[
@@ -116,6 +117,7 @@ def frequency_response_command(
         figure_option("Draw amplitudes and gains per hop over frequency, as .png, .pdf or .svg."),
     ] = None,
     json: JsonFile = None,
+    look: FigureLook = DEFAULT_LOOK,
 ) -> None:
     """Find how a formation answers its leader, gusts and messages by their frequency.
 
@@ -165,7 +167,7 @@ def frequency_response_command(
             f" the {len(rows)} largest of {len(found.followers)} followers; --json has all"
         )
     if plot is not None:
-        _plot(plot, loaded, asked, found, f"{output.value}, m per {unit}")
+        _plot(plot, loaded, asked, found, f"{output.value.replace('-', ' ')}, m per {unit}", look)
         console.write_line(f" figure: {plot}")
 
 
@@ -232,7 +234,12 @@ def _peak(values: Array, frequency_hz: Array) -> tuple[str, str]:
 
 
 def _plot(
-    file: Path, scenario: Scenario, asked: Question, found: StringResponse, quantity: str
+    file: Path,
+    scenario: Scenario,
+    asked: Question,
+    found: StringResponse,
+    quantity: str,
+    look: FigureLook,
 ) -> None:
     import numpy as np
 
@@ -265,4 +272,4 @@ def _plot(
             for i in rows
         ],
     )
-    save_plot(frequency_response_figure(picture), file)
+    look.save(frequency_response_figure(picture), file)

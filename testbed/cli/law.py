@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from testbed.cli.figure_options import DEFAULT_LOOK, FigureLook, draws_figures
 from testbed.cli.options import Overrides, scenario_names
 from testbed.cli.output import result_console
 from testbed.cli.report import FigureFormat, Figures, check_figures, figure_format, write_figures
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from testbed.reports.figures_law import Barriers, Functions
 
 
+@draws_figures("figures")
 def law_command(
     scenario: Annotated[
         str | None,
@@ -28,6 +30,7 @@ def law_command(
     overrides: Overrides = None,
     figures: Figures = None,
     format: FigureFormat = None,
+    look: FigureLook = DEFAULT_LOOK,
 ) -> None:
     """Show control functions and barriers of a scenario, or of the paper, and draw them.
 
@@ -44,7 +47,7 @@ def law_command(
     functions, barriers = _of_scenario(scenario, overrides or ()) if scenario else _of_paper()
     subtitle = scenario or "as in [HBH23], Figs. 1 and 2"
     drawn = list(law_figures(functions, barriers, subtitle)) if figures else []
-    check_figures(drawn, figures, ending)
+    check_figures(drawn, figures, ending, look)
     console = result_console()
     table = Table(box=None, pad_edge=True)
     for name in ("control function", "mu at 0", "rho_bar", "half of it at, m"):
@@ -63,7 +66,7 @@ def law_command(
         )
     console.print(table)
     if figures:
-        write_figures(drawn, figures, ending, console)
+        write_figures(drawn, figures, ending, console, look)
 
 
 def _of_paper() -> tuple[Functions, Barriers]:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 
+from testbed.cli.figure_options import DEFAULT_LOOK, FigureLook, draws_figures
 from testbed.cli.options import (
     Jobs,
     JsonFile,
@@ -27,7 +28,6 @@ from testbed.cli.output import (
     message_console,
     result_console,
     ruled_table,
-    save_plot,
     write_json_output,
 )
 from testbed.core.errors import InputError
@@ -50,6 +50,7 @@ DEFAULT_BANKS_DEG = (0.0, 30.0, 45.0)
 COMMAND = "\ncommand"  # column
 
 
+@draws_figures("plot")
 def margins_command(
     scenario: ScenarioName,
     bank: Annotated[
@@ -85,6 +86,7 @@ def margins_command(
     plot: Annotated[
         Path | None, figure_option("Draw the poles at each bank: .png, .pdf or .svg.")
     ] = None,
+    look: FigureLook = DEFAULT_LOOK,
 ) -> None:
     """Find the damping and the margins of a formation in steady flight.
 
@@ -129,8 +131,6 @@ def margins_command(
             with progress_counter("steady flights") as progress:
                 measured = margins_of(cases, pool, progress, climb)
     write_json_output(json, to_document(loaded, predicted, measured))
-    if plot:
-        _draw(loaded, predicted, plot)
     console = result_console(json)
     console.write_heading(loaded.name, f" · profile {loaded.controller.profile}")
     if any(each.followers for each in predicted):
@@ -151,9 +151,13 @@ def margins_command(
         for text, style in ((one.problem, "yellow"), (one.note, "")):
             if text:
                 console.write_line(f" at {one.bank_deg:g}°: {text}", style)
+    if plot:
+        _draw(loaded, predicted, plot, look)
 
 
-def _draw(scenario: Scenario, predicted: Sequence[Prediction], file: Path) -> None:
+def _draw(
+    scenario: Scenario, predicted: Sequence[Prediction], file: Path, look: FigureLook
+) -> None:
     """Draw the poles of the followers at the banks that have numbers."""
     import numpy as np
 
@@ -170,7 +174,7 @@ def _draw(scenario: Scenario, predicted: Sequence[Prediction], file: Path) -> No
     if not banks:
         raise InputError("--plot: no bank has poles to draw, because none is steady")
     subtitle = f"poles of the linearised formation, profile {scenario.controller.profile}"
-    save_plot(poles_figure(scenario.name, subtitle, banks), file)
+    look.save(poles_figure(scenario.name, subtitle, banks), file)
 
 
 def _predicted_table(found: Sequence[Prediction]) -> Table:

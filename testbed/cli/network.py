@@ -10,6 +10,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
+from testbed.cli.figure_options import DEFAULT_LOOK, FigureLook, draws_figures
 from testbed.cli.options import (
     JsonFile,
     Overrides,
@@ -20,7 +21,7 @@ from testbed.cli.options import (
     output_option,
     value_option,
 )
-from testbed.cli.output import PipeSafeConsole, result_console, save_plot, write_json_output
+from testbed.cli.output import PipeSafeConsole, result_console, write_json_output
 from testbed.core.errors import InputError
 from testbed.core.files import report_write_errors, write_text_file
 
@@ -45,6 +46,7 @@ def _check_packets(parameter: typer.CallbackParam, packets: int) -> int:
     return packets
 
 
+@draws_figures("plot")
 def network_command(
     scenario: ScenarioName,
     packets: Annotated[
@@ -66,6 +68,7 @@ def network_command(
         figure_option("Plot what arrived on each link and how late, as .png, .pdf or .svg."),
     ] = None,
     json: JsonFile = None,
+    look: FigureLook = DEFAULT_LOOK,
 ) -> None:
     """Send messages over a scenario's network, without simulating aircraft.
 
@@ -101,7 +104,7 @@ def network_command(
     if out and result.messages:
         _save(out, loaded.aircraft_names, result.messages)
     if plot and result.messages:
-        _plot(plot, loaded, document, result.messages)
+        _plot(plot, loaded, document, result.messages, look)
     write_json_output(json, document)
     console = result_console(json)
     _print_summary(console, document)
@@ -119,7 +122,13 @@ def _check_different(files: Mapping[str, Path]) -> None:
             raise InputError(f"{option} {path}: {other} names the same file; write another name")
 
 
-def _plot(path: Path, scenario: Scenario, document: Document, messages: MessageRecord) -> None:
+def _plot(
+    path: Path,
+    scenario: Scenario,
+    document: Document,
+    messages: MessageRecord,
+    look: FigureLook,
+) -> None:
     import numpy as np
 
     from testbed.views.network_figure import NetworkFigureData, network_figure
@@ -141,7 +150,7 @@ def _plot(path: Path, scenario: Scenario, document: Document, messages: MessageR
         share=share,
         delays_s=delays,
     )
-    save_plot(network_figure(data), path)
+    look.save(network_figure(data), path)
 
 
 def _worst(document: Document) -> str:

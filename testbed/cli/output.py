@@ -8,7 +8,7 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, Literal, TextIO
+from typing import Any, BinaryIO, Literal, TextIO
 
 import typer
 from rich import box
@@ -30,7 +30,6 @@ from testbed.core.files import (
 if TYPE_CHECKING:
     from testbed.metrics.side_effects import SideEffects
     from testbed.studies.margin_changes import MarginChange
-    from testbed.views.panels import PanelGrid
 
 MISSING = "–"  # in a cell without a number
 
@@ -169,18 +168,6 @@ def print_margin_changes(
         if each.problem:
             console.write_line(f" margins {each.place} are not predicted: {each.problem}", "dim")
         print_side_effects(console, each.side_effects, f"smaller margins {each.place}", names)
-
-
-def save_plot(plot: PanelGrid, path: Path) -> None:
-    """Draw a figure to the file of --plot.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
-    from testbed.views.matplotlib_backend import save_figure
-
-    with report_write_errors(f"--plot {path}"):
-        save_figure(plot, path)
 
 
 def is_stdout(path: Path | None) -> bool:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+from testbed.cli.figure_options import DEFAULT_LOOK, FigureLook, draws_figures
 from testbed.cli.options import RunName, finite_option, output_option, value_option
 from testbed.cli.output import (
     PipeSafeConsole,
@@ -43,6 +44,7 @@ FigureFormat = Annotated[
 ]
 
 
+@draws_figures("figures")
 def report_command(
     run: RunName,
     out: ReportFile = None,
@@ -54,6 +56,7 @@ def report_command(
     ] = None,
     figures: Figures = None,
     format: FigureFormat = None,
+    look: FigureLook = DEFAULT_LOOK,
 ) -> None:
     """Write a report of a run: figures, tables and everything needed to repeat the run.
 
@@ -67,11 +70,11 @@ def report_command(
     data = read_run(run, begin_s=begin, end_s=end)
     report = default_report(data.path) if out is None else out
     drawn = list(run_figures(data)) if figures else []
-    check_figures(drawn, figures, ending)
+    check_figures(drawn, figures, ending, look)
     console = result_console()
     write_report(run_page(data), report, console, default=out is None)
     if figures:
-        write_figures(drawn, figures, ending, console)
+        write_figures(drawn, figures, ending, console, look)
 
 
 def default_report(path: Path) -> Path:
@@ -106,28 +109,30 @@ def write_report(page: Page, path: Path, console: PipeSafeConsole, *, default: b
     console.write_line(f" report   {describe_file(path)}")
 
 
-def check_figures(figures: Iterable[Figure], folder: Path | None, ending: str) -> None:
+def check_figures(
+    figures: Sequence[Figure], folder: Path | None, ending: str, look: FigureLook
+) -> None:
     """Check that figures can be written to the folder of --figures; None: there is no such option.
 
     Raises:
-        InputError: a file of the user has the name of one of them.
+        InputError: a file of the user has the name of one of them, or a label is of nothing in
+            them.
     """
     from testbed.logs.file_record import check_folder_output
     from testbed.reports import figure_file
 
     if folder:
+        look.style([each.grid for each in figures])
         names = (figure_file(each, ending) for each in figures)
         check_folder_output(folder, names, f"--figures {folder}")
 
 
 def write_figures(
-    figures: Iterable[Figure],
+    figures: Sequence[Figure],
     folder: Path,
     ending: str,
     console: PipeSafeConsole,
-    *,
-    titled: bool = True,
-    width_in: float | None = None,
+    look: FigureLook,
 ) -> None:
     """Write figures as files, and print their folder and size; see `save_figures`.
 
@@ -137,8 +142,9 @@ def write_figures(
     from testbed.logs.file_record import record_folder_output
     from testbed.reports import save_figures
 
+    style = look.style([each.grid for each in figures])
     with report_write_errors(f"--figures {folder}"):
-        files = save_figures(figures, folder, ending, titled=titled, width_in=width_in)
+        files = save_figures(figures, folder, ending, style)
     record_folder_output(folder, [each.name for each in files])
     console.write_line(f" figures  {len(files)} in {folder}, {format_size(*files)}")
 

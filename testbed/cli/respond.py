@@ -11,6 +11,7 @@ import typer
 from rich.text import Text
 
 from testbed.cli.exit_codes import ExitCode
+from testbed.cli.figure_options import DEFAULT_LOOK, FigureLook, draws_figures
 from testbed.cli.options import (
     AircraftName,
     JsonFile,
@@ -24,7 +25,6 @@ from testbed.cli.output import (
     message_console,
     result_console,
     ruled_table,
-    save_plot,
     write_json_output,
 )
 from testbed.core.errors import InputError
@@ -62,6 +62,7 @@ def _check_new_folder(parameter: typer.CallbackParam, path: Path | None) -> Path
     return check_output_path(parameter, path)
 
 
+@draws_figures("plot")
 def respond_command(
     aircraft: AircraftName,
     commands: Annotated[
@@ -143,6 +144,7 @@ def respond_command(
         ),
     ] = None,
     json: JsonFile = None,
+    look: FigureLook = DEFAULT_LOOK,
 ) -> None:
     """Replay a recorded flight with one aircraft, and compare the two.
 
@@ -184,7 +186,7 @@ def respond_command(
 
     comparison = compare_response(recording, response, skip)
     if plot is not None:
-        _plot(plot, f"{folder.name} · {commands.name}", comparison)
+        _plot(plot, f"{folder.name} · {commands.name}", comparison, look)
     console = result_console(json)
     headline = f" · {commands.name} · tune {tune.stem} · latency {latency:g} s"
     console.write_line(Text.assemble(" ", (folder.name, "bold"), headline))
@@ -298,7 +300,7 @@ def _comparison_document(comparison: ResponseComparison) -> dict[str, Any]:
     }
 
 
-def _plot(file: Path, title: str, comparison: ResponseComparison) -> None:
+def _plot(file: Path, title: str, comparison: ResponseComparison, look: FigureLook) -> None:
     from testbed.views.response_figure import (
         RecordedAndModelled,
         ResponseFigureData,
@@ -312,7 +314,7 @@ def _plot(file: Path, title: str, comparison: ResponseComparison) -> None:
         for each in comparison.quantities.values()
     ]
     picture = ResponseFigureData(title, "recording and model", comparison.time_s, drawn)
-    save_plot(response_figure(picture), file)
+    look.save(response_figure(picture), file)
 
 
 def _fit(

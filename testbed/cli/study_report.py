@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from testbed.cli.options import JsonFile, finite_option, output_option, value_option
+from testbed.cli.figure_options import DEFAULT_LOOK, FigureLook, draws_figures
+from testbed.cli.options import JsonFile, output_option, value_option
 from testbed.cli.output import (
     check_output_folder,
     describe_file,
@@ -37,9 +38,8 @@ if TYPE_CHECKING:
     from testbed.studies.study_schema import StudyConfig
     from testbed.studies.table import StudyTable
 
-WIDTHS_IN = 2.0, 20.0  # of figures for papers
 
-
+@draws_figures("figures")
 def study_report_command(
     study: Annotated[
         str,
@@ -61,17 +61,6 @@ def study_report_command(
     statistic: Annotated[str, value_option("median|mean", "Statistic over the seeds.")] = "median",
     figures: Figures = None,
     format: FigureFormat = None,
-    width: Annotated[
-        float | None,
-        finite_option(
-            "IN",
-            "Width of these figures in inches, with text of 8 points, for the column of a paper: "
-            f"{WIDTHS_IN[0]:g} to {WIDTHS_IN[1]:g}.  \\[default: 11, as in the report]",
-        ),
-    ] = None,
-    no_title: Annotated[
-        bool, typer.Option("--no-title", help="Draw these figures without their titles.")
-    ] = False,
     latex: Annotated[
         Path | None,
         output_option(
@@ -94,6 +83,7 @@ def study_report_command(
         ),
     ] = False,
     json: JsonFile = None,
+    look: FigureLook = DEFAULT_LOOK,
 ) -> None:
     """Write a report of a study: results, effects, what got worse, losses, commands to repeat."""
     from testbed.logs.file_record import check_folder_output, record_folder_output
@@ -108,12 +98,6 @@ def study_report_command(
     from testbed.reports.study.study_data import STATISTICS
 
     ending = figure_format(format, figures)
-    if (width is not None or no_title) and not figures:
-        option = "--no-title" if no_title else f"--width {width:g}"
-        raise InputError(f"{option}: is of the figures of --figures DIR; write a folder too")
-    if width is not None and not WIDTHS_IN[0] <= width <= WIDTHS_IN[1]:
-        low, high = WIDTHS_IN
-        raise InputError(f"--width {width:g}: write {low:g} to {high:g}, in inches")
     if statistic not in STATISTICS:
         raise InputError(f"--statistic {statistic}: write one of {', '.join(STATISTICS)}")
     path = find_study_file(study)
@@ -122,7 +106,7 @@ def study_report_command(
     if margins:
         data = _with_margins(data, path)
     drawn = list(study_figures(data)) if figures else []
-    check_figures(drawn, figures, ending)
+    check_figures(drawn, figures, ending, look)
     listed = list(study_tables(data)) if tables else []
     if tables:
         check_folder_output(tables, map(table_file, listed), f"--tables {tables}")
@@ -133,7 +117,7 @@ def study_report_command(
     print_summary(data, console)
     write_report(page, report, console, default=out is None)
     if figures:
-        write_figures(drawn, figures, ending, console, titled=not no_title, width_in=width)
+        write_figures(drawn, figures, ending, console, look)
     if latex:
         with report_write_errors(f"--latex {latex}"), write_text_file(latex) as file:
             file.write(table)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from rich.table import Table
 from rich.text import Text
 
+from testbed.cli.figure_options import FigureLook
 from testbed.cli.output import MISSING, PipeSafeConsole, result_console, write_json_output
 from testbed.cli.report import check_figures, write_figures
 
@@ -27,6 +28,7 @@ def show_trend(
     json: Path | None,
     figures: Path | None,
     ending: str,
+    look: FigureLook,
 ) -> None:
     """Print the numbers of kept results as tables, and draw them.
 
@@ -36,6 +38,7 @@ def show_trend(
         json: file of --json.
         figures: folder of --figures.
         ending: of the figures' files.
+        look: of the figures.
 
     Raises:
         InputError: a file cannot be read or written.
@@ -56,13 +59,13 @@ def show_trend(
             curve = TrendCurve(window, " ".join(where), row.measured, row.golden)
             by_label.setdefault(label, []).append(curve)
         drawn += trend_figures(name, trend.labels, by_label)
-    check_figures(drawn, figures, ending)
+    check_figures(drawn, figures, ending, look)
     write_json_output(json, to_document(trend))
     console = result_console(json)
     for name in trend.scenarios:
         _print_scenario(trend, name, console)
     if figures:
-        write_figures(drawn, figures, ending, console)
+        write_figures(drawn, figures, ending, console, look)
 
 
 def _print_scenario(trend: Trend, name: str, console: PipeSafeConsole) -> None:

@@ -8,13 +8,14 @@ from dataclasses import replace
 import numpy as np
 
 from testbed.core.errors import InputError
-from testbed.reports.figure_spec import TIME_LABEL, samples_on_axis
+from testbed.reports.figure_spec import TIME_LABEL, WIDTH_IN, samples_on_axis
 from testbed.reports.plot_selection import MAX_SINGLE, STYLES, WORST, decimate
 from testbed.reports.run_data import RunData
+from testbed.views.figure_style import TITLES_IN
 from testbed.views.panels import DASHED, Line, Panel, PanelGrid
 
 COLUMN_IN = 3.5  # width of a column of a paper, inches
-PANEL_IN, AROUND_IN = 1.1, 0.35  # height of a panel; of the axis below, inches
+PANEL_IN, AROUND_IN = 1.65, 0.5  # height of a panel; of the axis below, with text of 12 points
 WIDTH_PT = 1.35  # of the curves, with text of 12 points
 
 
@@ -69,11 +70,12 @@ def compare_figure(first: RunData, second: RunData, labels: Sequence[str]) -> Pa
             lines.append(Line(time[at], error[at], colour, label, WIDTH_PT, dashes=dashes))
             fits = samples_on_axis(run)[0][:, row] & (time >= begin) & (time <= end)
             highest = max(highest, float(error.max(initial=0.0, where=fits & np.isfinite(error))))
-        panels.append(Panel(name, "", "error, m", lines, x_limits=(begin, end)))
+        panels.append(
+            Panel(name, TIME_LABEL, "distance from slot, m", lines, x_limits=(begin, end))
+        )
     limits = (0.0, 1.08 * highest or 1.0)  # the same for all, so that they can be compared
     panels = [replace(each, y_limits=limits) for each in panels]
-    panels[-1] = replace(panels[-1], x_label=TIME_LABEL)
-    inches = COLUMN_IN, PANEL_IN * len(panels) + AROUND_IN
+    inches = WIDTH_IN, PANEL_IN * len(panels) + AROUND_IN + TITLES_IN
     return PanelGrid("", "", [[each] for each in panels], (1.0,), inches)
 
 

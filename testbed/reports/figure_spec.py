@@ -21,6 +21,7 @@ from testbed.reports.plot_selection import (
 from testbed.reports.run_data import RunData
 from testbed.views.panels import (
     BLACK,
+    DOTTED,
     GREY,
     ORANGE,
     Band,
@@ -64,27 +65,6 @@ def make_figure(name: str, spec: FigureSpec, subtitle: str, note: str = "") -> F
     widths = spec.widths or (1.0,) * len(spec.rows[0])
     grid = PanelGrid(spec.title, subtitle, spec.rows, widths, size_in)
     return Figure(name, spec.title, spec.caption + note, grid)
-
-
-PAPER_TEXT_PT = 8.0  # of a figure for a paper
-MIN_PANEL_IN = 2.9  # width of a panel of it, below which panels stand in one column
-TITLES_IN = 0.8  # height of title and subtitle with text of 12 points
-
-
-def fit_width(grid: PanelGrid, width_in: float, *, titled: bool) -> PanelGrid:
-    """Return a figure for a paper, of a width in inches, with text of `PAPER_TEXT_PT`.
-
-    Its panels are in one column where it is narrow. Without a title it is lower.
-    """
-    scale = PAPER_TEXT_PT / 12.0
-    rows, widths = grid.rows, grid.widths
-    height_in = grid.inches[1] - TITLES_IN
-    if len(widths) > 1 and width_in < len(widths) * MIN_PANEL_IN:
-        rows = [[panel] for row in grid.rows for panel in row]
-        height_in *= len(rows) / len(grid.rows)
-        widths = (1.0,)
-    inches = width_in, scale * (height_in + TITLES_IN * titled)
-    return replace(grid, rows=rows, widths=widths, inches=inches)
 
 
 AXIS_IN = 10.0  # approximate length of the time axis, inches
@@ -138,7 +118,7 @@ class TimeAxis:
         if quantity.desired:
             desired = run.mask_lost(quantity.field(log, quantity.desired))
             more["desired"] = desired[:, -len(run.followers) :] if run.followers else None
-        more = {"title": quantity.words, "y_label": quantity.unit} | more
+        more = {"y_label": quantity.label()} | more
         return self.curves(run.mask_lost(values), y_degrees=quantity.unit == DEGREES, **more)
 
     def curves(
@@ -147,7 +127,6 @@ class TimeAxis:
         desired: Array | None = None,
         *,
         also: Sequence[Line] = (),
-        with_bands: bool = True,
         **more: Any,  # noqa: ANN401 - of `panel`
     ) -> Panel:
         """Make a panel of aircraft as they are selected.
@@ -156,7 +135,6 @@ class TimeAxis:
             values: (K, N), or (K, n) of followers.
             desired: (K, n), drawn dashed; None: without.
             also: further curves.
-            with_bands: summarise many followers by a band.
             more: of `panel`.
         """
         run, selection = self._run, self._selection
@@ -169,12 +147,11 @@ class TimeAxis:
         lines += follower_curves(time, values, selection)
         if desired is not None:
             lines += desired_curves(time, desired, selection)
-        bands = percentile_bands(time, values, selection) if with_bands else ()
+        bands = percentile_bands(time, values, selection)
         return self.panel(lines=[*lines, *also], bands=bands, **more)
 
     def panel(
         self,
-        title: str,
         y_label: str,
         lines: Sequence[Line],
         bands: Sequence[Band] = (),
@@ -184,8 +161,8 @@ class TimeAxis:
         spans = [replace(span, name="") for span in self._spans] if self._named else self._spans
         self._named = True
         return Panel(
-            title,
             "",
+            TIME_LABEL,
             y_label,
             lines,
             bands,
@@ -197,8 +174,8 @@ class TimeAxis:
 
 
 def stack(panels: Sequence[Panel]) -> list[list[Panel]]:
-    """Put panels over the same time one below the other; the last one labels the axis."""
-    return [*([each] for each in panels[:-1]), [replace(panels[-1], x_label=TIME_LABEL)]]
+    """Put panels over the same time one below the other."""
+    return [[each] for each in panels]
 
 
 def stack_names(spans: Sequence[Span], length: float) -> list[Span]:
@@ -224,9 +201,9 @@ def stack_names(spans: Sequence[Span], length: float) -> list[Span]:
 
 
 def bound_lines(time: Array, values: ArrayLike, label: str) -> list[Line]:
-    """Make thin horizontal lines over times (K,) at the distinct values; the first is labelled."""
+    """Make dotted horizontal lines over times (K,) at the distinct values, the first labelled."""
     return [
-        Line(time[[0, -1]], np.full(2, value), BLACK, "" if k else label, 0.8)
+        Line(time[[0, -1]], np.full(2, value), BLACK, "" if k else label, 1.2, dashes=DOTTED)
         for k, value in enumerate(unique_values(values))
     ]
 

@@ -46,7 +46,7 @@ def commands(run: RunData, selection: PlotSelection) -> FigureSpec:
     panels += [axis.quantity("pitch"), axis.quantity("throttle")]
     caption = (
         "Solid: actual bank and pitch, and the commanded throttle; dashed: the fly-by-wire-A"
-        " commands; thin solid lines: the limits of the bank command."
+        " commands; dotted lines: the limits of the bank command."
     )
     if needs_bank:
         caption += (
@@ -68,7 +68,7 @@ def _needed_bank(run: RunData, axis: TimeAxis, bounds: list[Line]) -> Panel:
     limits = padded_limits([bank, *(line.y for line in bounds)])
     return axis.curves(
         bank, run.mask_lost(needed), also=bounds, y_degrees=True, y_limits=limits,
-        title="bank, and the bank needed to fly the slot exactly", y_label=PLOTTED["bank"].unit,
+        y_label="bank, and that of the slot, °",
     )  # fmt: skip
 
 
@@ -83,15 +83,15 @@ def network(run: RunData, selection: PlotSelection) -> FigureSpec | None:
     at, mean, largest = interval_statistics(log.time_s, age)
     lines = [*follower_curves(at, mean, selection), *desired_curves(at, largest, selection)]
     bands = percentile_bands(at, mean, selection)
-    panels = [axis.panel(oldest.words, oldest.unit, lines, bands)]
+    panels = [axis.panel(oldest.label(), lines, bands)]
     caption = (
         "Age of the oldest message that a follower used: mean (solid) and maximum (dashed) over"
         f" each of {AGE_INTERVALS} equal intervals."
     )
     if missing.any():
         lines, bands = _delivered_shares(run, sent, missing)
-        title = f"messages delivered of those sent in the last {DELIVERY_WINDOW_S:g} s"
-        panels.append(axis.panel(title, "share, %", lines, bands, y_limits=(-3.0, 103.0)))
+        label = f"delivered in the last {DELIVERY_WINDOW_S:g} s, %"
+        panels.append(axis.panel(label, lines, bands, y_limits=(-3.0, 103.0)))
         caption += (
             f" Below: the share of the messages sent in the last {DELIVERY_WINDOW_S:g} s that"
             " arrived; thick: all links together; coloured: the links that delivered least;"
@@ -128,8 +128,7 @@ def estimates(run: RunData, selection: PlotSelection) -> FigureSpec | None:
         limits = padded_limits([np.where(on_axis, each, np.nan) for each in (estimated, error)])
         panels.append(
             axis.curves(
-                error, estimated, title="‖q̃‖, true and estimated", y_label="‖q̃‖, m",
-                y_limits=limits,
+                error, estimated, y_label="‖q̃‖, true and estimated, m", y_limits=limits
             )
         )  # fmt: skip
         caption += " Below: the formation error, true (solid) and by the estimates (dashed)." + note

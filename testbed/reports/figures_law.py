@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from typing import Any
 
 import numpy as np
 
@@ -34,15 +35,16 @@ def _functions(functions: Functions) -> FigureSpec:
     x = np.linspace(0.0, end, POINTS)
     scalar, length = [], []
     for k, (label, function) in enumerate(functions.items()):
-        colour, _ = STYLES[k % len(STYLES)]
+        colour, marker = STYLES[k % len(STYLES)]
+        more: Any = {"marker": marker, "marker_phase": k / len(functions)}
         value, _ = control_function_curve(function, x * x)
-        scalar.append(Line(x * x, value, colour, label, 1.4))
-        length.append(Line(x, x * value, colour, label, 1.4))
+        scalar.append(Line(x * x, value, colour, label, 1.4, **more))
+        length.append(Line(x, x * value, colour, label, 1.4, **more))
     return FigureSpec(
         "Control functions",
         "Left: μ of (5) over the squared length of the formation error. Right: the length of ρ,"
         " which times k is the speed at which an error is closed.",
-        [[Panel("μ", "z = ‖ξ‖², m²", "μ", scalar), Panel("‖ρ‖", "‖ξ‖, m", "‖ρ‖", length)]],
+        [[Panel("", "z = ‖ξ‖², m²", "μ(z)", scalar), Panel("", "‖ξ‖, m", "‖ρ(ξ)‖", length)]],
         4.2,
     )
 
@@ -51,14 +53,15 @@ def _barriers(barriers: Barriers) -> FigureSpec:
     value_lines, slope_lines = [], []
     bounds = sorted({bound for _, *both in barriers.values() for bound in both})
     for k, (label, (barrier, low, high)) in enumerate(barriers.items()):
-        colour, _ = STYLES[k % len(STYLES)]
+        colour, marker = STYLES[k % len(STYLES)]
+        more: Any = {"marker": marker, "marker_phase": k / len(barriers)}
         s = np.linspace(max(low - NEAR, 0.0), high + NEAR, POINTS)
         value, slope = barrier_curve(barrier, s, low, high)
-        value_lines.append(Line(s, value, colour, label, 1.4))
-        slope_lines.append(Line(s, slope, colour, label, 1.4))
+        value_lines.append(Line(s, value, colour, label, 1.4, **more))
+        slope_lines.append(Line(s, slope, colour, label, 1.4, **more))
     marks = [(bound, BLACK) for bound in bounds]
-    left = Panel("h", "s, m/s", "h", value_lines, marks=marks)
-    right = Panel("h'", "s, m/s", "h', s/m", slope_lines, marks=marks)
+    left = Panel("", "s, m/s", "h(s)", value_lines, marks=marks)
+    right = Panel("", "s, m/s", "h'(s), s/m", slope_lines, marks=marks)
     return FigureSpec(
         "Barriers",
         "h of (14) and its derivative over the ground speed; dotted vertical lines: the speed"

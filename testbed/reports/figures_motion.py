@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from testbed.core.records import Array
+from testbed.core.frames import wrap_pi
+from testbed.core.records import Array, FormationState
 from testbed.core.velocity_frame import velocity_frame
 from testbed.formation.barrier import logged_barriers, logged_curve
 from testbed.reports.figure_spec import (
@@ -19,7 +20,6 @@ from testbed.reports.figure_spec import (
 )
 from testbed.reports.plot_selection import PlotSelection
 from testbed.reports.run_data import RunData
-from testbed.views.panels import BLACK, Line
 from testbed.views.quantities import PLOTTED
 
 FLOOR_M = 1e-3  # lower end of the logarithmic axis of the error
@@ -34,7 +34,7 @@ def altitude(run: RunData, selection: PlotSelection) -> FigureSpec:
         "Altitude",
         "Altitude above the origin over time; dashed: the altitudes of the slots.",
         stack([panel]),
-        2.9,
+        3.2,
     )
 
 
@@ -76,7 +76,7 @@ def error(run: RunData, selection: PlotSelection) -> FigureSpec | None:
     largest = float(distance.max(initial=FLOOR_M, where=known))
     largest_on_axis = float(distance.max(initial=FLOOR_M, where=known & on_axis))
     smallest = float(distance.min(initial=largest, where=known & (distance > FLOOR_M)))
-    label: Any = {"title": "", "y_label": "‖q̃‖, m"}
+    label: Any = {"y_label": "‖q̃‖, m"}
     linear = axis.quantity("error", y_limits=(0.0, 1.15 * largest_on_axis), **label)
     limits = 0.8 * smallest, 1.6 * largest
     logarithmic = axis.quantity("error", y_log=True, y_limits=limits, **label)
@@ -95,21 +95,19 @@ def speed(run: RunData, selection: PlotSelection) -> FigureSpec | None:
         return None
     axis, info = TimeAxis(run, selection), run.log.info
     bounds = bound_lines(run.log.time_s, info.speed_bounds_mps, "speed bounds")
-    bounds_note = "thin solid lines: the speed bounds"
+    bounds_note = "dotted lines: the speed bounds"
     if any(info.bounded_in_ned):
         bounds_note += ", which hold for the airspeed in the steady wind"
         bounded = PLOTTED["bounded_speed"]
         panels = [
             axis.quantity("speed", leader=False),
-            axis.curves(
-                _bounded_speed(run), also=bounds, title=bounded.words, y_label=bounded.unit
-            ),
+            axis.curves(_bounded_speed(run), also=bounds, y_label=bounded.label()),
         ]
     else:
         panels = [axis.quantity("speed", leader=False, also=bounds)]
     panels.append(axis.quantity("flight_path_angle", leader=False))
-    # percentiles of angles that wrap around mean nothing
-    panels.append(axis.quantity("course", leader=False, with_bands=False))
+    actual, desired = map(run.mask_lost, _turned(run.log.formation))
+    panels.append(axis.curves(actual, desired, y_label="course, whole turns counted, °"))
     return FigureSpec(
         "Speed, flight-path angle and course",
         f"Solid: actual; dashed: desired; {bounds_note}." + axis.note,
@@ -125,7 +123,7 @@ def barrier(run: RunData, selection: PlotSelection) -> FigureSpec | None:
     log, axis, time = run.log, TimeAxis(run, selection), run.log.time_s
     low, high = np.array(log.info.speed_bounds_mps).T
     s = _bounded_speed(run)
-    bound = Line(time[[0, -1]], np.zeros(2), BLACK, "bound", 0.8)
+    bounds = bound_lines(time, [0.0], "bound")
     quantities = [(PLOTTED["speed_margin"], np.minimum(s - low, high - s))]
     caption = "Distance of the speed from the nearer bound; negative outside."
     value = np.full(s.shape, np.nan)
@@ -140,11 +138,22 @@ def barrier(run: RunData, selection: PlotSelection) -> FigureSpec | None:
             quantities.append((PLOTTED["barrier"], value))
             caption += " Below: the barrier function h at that speed, negative outside the bounds."
     panels = [
-        axis.curves(values, also=[bound], title=quantity.words, y_label=quantity.unit)
+        axis.curves(values, also=bounds, y_label=quantity.label())
         for quantity, values in quantities
     ]
-    height_in = 2.4 * len(panels) + 0.3
+    height_in = 2.4 * len(panels) + 0.9
     return FigureSpec("Speed bounds and barrier", caption, stack(panels), height_in)
+
+
+def _turned(formation: FormationState) -> tuple[Array, Array]:
+    """Return actual and desired courses (K, n), degrees, that do not jump at ±180°."""
+    actual = formation.course.copy()
+    for column in actual.T:
+        known = np.isfinite(column)
+        column[known] = np.unwrap(column[known])
+    # within half a turn of the actual one
+    desired = actual + wrap_pi(formation.course_desired - formation.course)
+    return np.degrees(actual), np.degrees(desired)
 
 
 def _bounded_speed(run: RunData) -> Array:
@@ -176,5 +185,5 @@ def _relative(
         limits = padded_limits(
             [np.where(on_axis, values, np.nan), np.where(on_axis, targets, np.nan)], min_span=4.0
         )
-        panels.append(axis.curves(values, targets, title="", y_label=label, y_limits=limits))
+        panels.append(axis.curves(values, targets, y_label=label, y_limits=limits))
     return FigureSpec(title, caption + note, stack(panels), 6.6)

@@ -39,7 +39,7 @@ def trajectory(run: RunData, selection: PlotSelection) -> FigureSpec:
         path = Line(commanded[:, 1], commanded[:, 0], PATH, "leader, path", width=3.5)
         above.insert(0, path)
         grey = "; grey: the leader's commanded path"
-    plan = Panel("paths from above", "east, m", "north, m", above, equal=True)
+    plan = Panel("", "east, m", "north, m", above, equal=True)
     if not run.followers:
         caption = f"Paths from above, with equal scales{grey}."
         return FigureSpec("Trajectories", caption, [[plan]], 5.6, needs_selection_note=False)
@@ -68,7 +68,7 @@ def _relative_to_leader(run: RunData, selection: PlotSelection) -> tuple[list[Pa
         for each in (position[:, 1:], log.formation.slot_ned)
     )
     panels = []
-    for title, axis, label in (("from above", 0, "forward, m"), ("from behind", 2, "up, m")):
+    for axis, label in ((0, "forward, m"), (2, "up, m")):
         here, name = np.zeros(1), log.info.names[0]
         lines = [Line(here, here, LEADER_COLOUR, name, dots=True, marker="^")]
         for each in selection.drawn:
@@ -80,7 +80,7 @@ def _relative_to_leader(run: RunData, selection: PlotSelection) -> tuple[list[Pa
             if len(own):
                 cross = np.median(own, axis=0)
                 lines.append(Line(cross[1:2], cross[[axis]], BLACK, dots=True, marker="x"))
-        panels.append(Panel(f"slots {title}", "right, m", label, lines, equal=True))
+        panels.append(Panel("", "right, m", label, lines, equal=True))
     return panels, note
 
 
@@ -100,13 +100,11 @@ def first_lap(run: RunData, selection: PlotSelection) -> FigureSpec | None:
     errors: list[Line] = []
     for each in selection.drawn:
         x, y, error = east[:, each.row + 1], north[:, each.row + 1], run.error[lap, each.row]
-        # markers at the same times in both panels: each at a multiple of the same step
-        marks = slice(0, None, max(time.size // LAP_MARKS, 1))
+        # markers at the same times in both panels
         for to, (a, b) in ((lines, (x, y)), (errors, (time, error))):
-            to.append(Line(a, b, each.colour, each.name, 1.2))
-            to.append(Line(a[marks], b[marks], each.colour, width=0.0, marker=each.marker, marks=0))
-    above = Panel("from above", "east, m", "north, m", lines, equal=True)
-    distance = Panel("distance from the slot", "time, s", "‖q̃‖, m", errors)
+            to.append(Line(a, b, each.colour, each.name, 1.2, marker=each.marker, marks=LAP_MARKS))
+    above = Panel("", "east, m", "north, m", lines, equal=True)
+    distance = Panel("", TIME_LABEL, "distance from the slot, m", errors, y_log=True)
     return FigureSpec(
         "The first lap",
         f"Until the leader, dashed, has turned a full circle at {time[-1]:.1f} s. Markers are at"
@@ -144,7 +142,8 @@ def corner(run: RunData, selection: PlotSelection) -> FigureSpec | None:
             Line(own[:, 1], own[:, 0], each.colour, each.name, 1.4,
                  marker=each.marker, marker_phase=0.5)
         )  # fmt: skip
-        lines.append(Line(desired[:, 1], desired[:, 0], each.colour, width=1.0, dashes=DASHED))
+        label = "" if each is not drawn[0] else "slots"
+        lines.append(Line(desired[:, 1], desired[:, 0], BLACK, label, 0.9, dashes=DASHED))
     time = time[near]
     formation, error = log.formation, run.error[near]
     speed, desired_speed = (
@@ -152,19 +151,24 @@ def corner(run: RunData, selection: PlotSelection) -> FigureSpec | None:
         for each in (formation.speed, formation.speed_desired)
     )
     banks = np.degrees(truth.euler[near, :, 0])
+    limits = float(time[0]), float(time[-1])
     panels = (
-        Panel("from above", "east, m", "north, m", lines, equal=True),
-        Panel("distance from the slot", "", "‖q̃‖, m", [*follower_curves(time, error, selection)]),
+        Panel("", "east, m", "north, m", lines, equal=True),
         Panel(
-            "ground speed", TIME_LABEL, "m/s",
-            [*follower_curves(time, speed, selection),
-             *desired_curves(time, desired_speed, selection)],
+            "", TIME_LABEL, "distance from the slot, m",
+            [*follower_curves(time, error, selection)], x_limits=limits,
         ),
         Panel(
-            "bank", TIME_LABEL, "°",
+            "", TIME_LABEL, "ground speed, m/s",
+            [*follower_curves(time, speed, selection),
+             *desired_curves(time, desired_speed, selection)],
+            x_limits=limits,
+        ),
+        Panel(
+            "", TIME_LABEL, "bank, °",
             [Line(time, banks[:, 0], LEADER_COLOUR, name, 1.2),
              *follower_curves(time, banks[:, 1:], selection)],
-            y_degrees=True,
+            y_degrees=True, x_limits=limits,
         ),
     )  # fmt: skip
     return FigureSpec(

@@ -18,7 +18,8 @@ from rich.table import Table
 from rich.text import Text
 
 from testbed.core.files import write_text_file
-from testbed.reports.figure_spec import PAPER_TEXT_PT, Figure, fit_width
+from testbed.reports.figure_spec import Figure
+from testbed.views.figure_style import DEFAULT_STYLE, FigureStyle
 from testbed.views.panels import BLACK, GREY, GRID, ON_DARK, ON_WHITE, PATH
 
 STYLES = ("green", "red", "yellow", "dim", "bold")
@@ -273,12 +274,7 @@ def figure_file(figure: Figure, ending: str) -> str:
 
 
 def save_figures(
-    figures: Iterable[Figure],
-    folder: Path,
-    ending: str,
-    *,
-    titled: bool = True,
-    width_in: float | None = None,
+    figures: Iterable[Figure], folder: Path, ending: str, style: FigureStyle = DEFAULT_STYLE
 ) -> list[Path]:
     """Write figures to a folder, which is made if needed; return the files.
 
@@ -286,8 +282,7 @@ def save_figures(
         figures: with different names.
         folder: of the files.
         ending: one of `FORMATS`.
-        titled: draw title and subtitle.
-        width_in: of the figures, inches, with text of 8 points; None: that of a report.
+        style: of all figures.
 
     Raises:
         OSError: a file cannot be written.
@@ -298,10 +293,7 @@ def save_figures(
     paths = []
     for figure in figures:
         paths.append(folder / figure_file(figure, ending))
-        grid, text_pt = figure.grid, None
-        if width_in is not None:
-            grid, text_pt = fit_width(grid, width_in, titled=titled), PAPER_TEXT_PT
-        save_figure(grid, paths[-1], text_pt=text_pt, titled=titled)
+        save_figure(figure.grid, paths[-1], style)
     return paths
 
 

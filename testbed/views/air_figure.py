@@ -26,7 +26,8 @@ COMPONENTS = (
     ("lateral v, right", "v"),
     ("vertical w, down", "w"),
 )
-PROBE_COLOURS = (BLUE, ORANGE)
+PROBES = ((BLUE, "o"), (ORANGE, "s"))  # colour and marker
+FREQUENCY = "frequency, Hz"
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,13 +63,20 @@ def _record(data: WindFigureData, k: int) -> Panel:
     shown = _window(data)
     largest = 1.05 * float(np.abs(data.velocity[:, shown]).max()) or 1.0
     lines = [
-        Line(data.time[shown], data.velocity[probe, shown, k], colour, name)
-        for probe, (name, colour) in enumerate(zip(data.names, PROBE_COLOURS, strict=False))
+        Line(
+            data.time[shown],
+            data.velocity[probe, shown, k],
+            colour,
+            name,
+            marker=marker,
+            marker_phase=probe / len(data.names),
+        )
+        for probe, (name, (colour, marker)) in enumerate(zip(data.names, PROBES, strict=False))
     ]
     return Panel(
-        COMPONENTS[k][0],
-        "time, s" if k == 2 else "",
-        "m/s",
+        "",
+        "time, s",
+        f"{COMPONENTS[k][0]}, m/s",
         lines,
         x_limits=(float(data.time[shown][0]), float(data.time[shown][-1])),
         y_limits=(-largest, largest),
@@ -90,8 +98,15 @@ def _spectrum(data: WindFigureData, k: int) -> Panel:
     symbol = COMPONENTS[k][1]
     moving = np.where(data.psd > 0.0, data.psd, np.nan)
     lines = [
-        Line(data.frequency_hz, moving[probe, k], colour, width=1.3)
-        for probe, colour in zip(range(len(data.names)), PROBE_COLOURS, strict=False)
+        Line(
+            data.frequency_hz,
+            moving[probe, k],
+            colour,
+            width=1.3,
+            marker=marker,
+            marker_phase=probe / len(data.names),
+        )
+        for probe, (colour, marker) in zip(range(len(data.names)), PROBES, strict=False)
     ]
     bands, limits = [], None
     if np.isfinite(moving[:, k]).any():  # below are rounding errors
@@ -103,17 +118,22 @@ def _spectrum(data: WindFigureData, k: int) -> Panel:
         lines.append(line)
         bands.append(band)
     return Panel(
-        f"spectrum of {symbol}",
-        "frequency, Hz" if k == 2 else "",
-        "(m/s)²/Hz",
+        "",
+        FREQUENCY,
+        f"spectrum of {symbol}, (m/s)²/Hz",
         lines,
         bands,
         x_log=True,
         y_log=True,
+        x_limits=_frequencies(data),
         y_limits=limits,
         spans=_unresolved(data),
         note=f"{symbol} does not vary",
     )
+
+
+def _frequencies(data: WindFigureData) -> tuple[float, float]:
+    return float(data.frequency_hz[0]), float(data.frequency_hz[-1])
 
 
 def _closed_form(
@@ -136,19 +156,21 @@ def _unresolved(data: WindFigureData) -> list[Span]:
 
 
 def _coherence(data: WindFigureData, k: int) -> Panel:
-    lines = [Line(data.frequency_hz, data.coherence[k], GREEN, "between the probes", dots=True)]
+    label = f"between the probes, {data.separation:g} m apart"
+    lines = [Line(data.frequency_hz, data.coherence[k], GREEN, label, dots=True)]
     bands = []
     if data.coherence_expected is not None:
         line, band = _closed_form(data, data.coherence_expected, k)
         lines.append(line)
         bands.append(band)
     return Panel(
-        f"coherence of {COMPONENTS[k][1]}, {data.separation:g} m apart",
-        "frequency, Hz" if k == 2 else "",
-        "coherence, real part",
+        "",
+        FREQUENCY,
+        f"coherence of {COMPONENTS[k][1]}, real part",
         lines,
         bands,
         x_log=True,
+        x_limits=_frequencies(data),
         y_limits=(-1.05, 1.05),
         note=f"{COMPONENTS[k][1]} does not vary",
     )

@@ -17,8 +17,16 @@ from typing import Any
 
 import numpy as np
 
-from testbed.core.errors import needs_extra
+from testbed.core.errors import InputError, needs_extra
 from testbed.core.files import write_file
+from testbed.views.figure_style import (
+    DEFAULT_STYLE,
+    TEXT_PT,
+    TITLES_IN,
+    FigureStyle,
+    shares_axis,
+    wrapped,
+)
 from testbed.views.panels import GREY, GRID, FieldMap, Heatmap, Line, Panel, PanelGrid
 
 
@@ -60,11 +68,13 @@ with needs_extra("report", "figures"):
     )
 
 DOTS_PER_INCH = 100  # of the layout
+DEFAULT_FONT = "DejaVu Sans"  # comes with Matplotlib
 PNG_DOTS_PER_INCH = 200  # with text of 12 points; more where it is smaller
-TEXT_PT = 12.0
-TITLES_IN, LEGEND_IN = 0.8, 0.35  # height of the titles and of a legend row, inches
+LEGEND_IN = 0.35  # height of a legend row, inches
 KEY_IN, LETTER_IN = 0.8, 0.095  # width of a legend key and of a letter, inches
+TICKS_IN, AXIS_IN = 0.35, 0.25  # height of the numbers of an axis and of its label, inches
 TITLE_PT, NAME_PT = 6.0, 12.5  # distance of a title, and height of a line of names of spans
+SMALL_PT = 10.5  # size of the smallest text: 7 points in a paper
 MAX_DECADES = 4.0  # of a logarithmic axis with ticks within decades, as plain numbers
 HEAT_COLOURS = "cividis"  # the same order for colour-blind readers, and in grey
 HEAT_STEPS = 32
@@ -89,6 +99,9 @@ STYLE: dict[Any, Any] = {
     "axes.spines.right": False,
     "axes.grid": True,
     "axes.axisbelow": True,
+    "axes.formatter.useoffset": False,  # numbers stand at the axis in full, without "+1" above it
+    "axes.formatter.limits": (-30, 30),
+    "axes.unicode_minus": True,
     "grid.color": GRID,
     "grid.linewidth": 0.8,
     "legend.frameon": False,
@@ -128,32 +141,64 @@ def _style(scale: float) -> dict[Any, Any]:
     return {key: each * scale if isinstance(each, float) else each for key, each in sizes.items()}
 
 
-def save_figure(
-    grid: PanelGrid, path: Path, *, text_pt: float | None = None, titled: bool | None = None
-) -> None:
+def save_figure(grid: PanelGrid, path: Path, style: FigureStyle = DEFAULT_STYLE) -> None:
     """Write a figure as PNG, PDF or SVG, by the suffix of the path.
 
     Args:
         grid: to draw.
         path: of the file.
-        text_pt: for a paper: size of the text in points, by which all lines and marks are scaled,
-            too; None: as in reports, 12 points.
-        titled: draw title and subtitle; default: not for a paper.
+        style: of the figure.
 
     Raises:
         OSError: The file cannot be written.
     """
     ending = path.suffix.lower()
-    scale = 1.0 if text_pt is None else text_pt / TEXT_PT
-    titled = text_pt is None if titled is None else titled
+    scale = style.text_pt / TEXT_PT
+    grid = style.lay_out(grid)
     width, height = grid.inches
     grid = replace(grid, inches=(width / scale, height / scale))
-    with _settings(_style(scale)):
-        figure = _figure(grid, titled=titled, scale=scale)
+    with _settings(_style(scale) | _font(style.font)):
+        figure = _figure(grid, titled=style.titled, scale=scale)
         with write_file(path) as file:
             figure.savefig(
                 file, format=ending[1:], dpi=PNG_DOTS_PER_INCH / scale, metadata=UNDATED[ending]
             )  # fmt: skip
+
+
+def _font(family: str) -> dict[Any, Any]:
+    """Return the settings of a font, whose missing letters are Matplotlib's own."""
+    if not family:
+        return {}
+    mathematics = {"rm": family, "it": f"{family}:italic", "bf": f"{family}:bold"}
+    return {
+        "font.family": [family, DEFAULT_FONT],
+        "mathtext.fontset": "custom",
+        **{f"mathtext.{name}": each for name, each in mathematics.items()},
+    }
+
+
+def check_font(family: str) -> None:
+    """Check that a font is there.
+
+    Raises:
+        InputError: it is not; with those that are.
+    """
+    from matplotlib.font_manager import get_font_names
+
+    known = sorted(get_font_names())
+    if family not in known:
+        raise InputError(f"{family}: is not installed (write one of {', '.join(known)})")
+
+
+def mathematics_problem(text: str) -> str:
+    """Return what is wrong with the parts of a text in $...$; "" if nothing is."""
+    from matplotlib.mathtext import MathTextParser
+
+    try:
+        MathTextParser("path").parse(text)
+    except ValueError as error:
+        return str(error).strip().splitlines()[-1]
+    return ""
 
 
 def figure_svg(grid: PanelGrid) -> str:
@@ -190,10 +235,21 @@ def _figure(content: PanelGrid, *, titled: bool, scale: float = 1.0) -> Figure:
     grid = figure.add_gridspec(len(content.rows), len(content.widths), width_ratios=content.widths)
     # maps that share a scale, in a row or in the only column
     heats: dict[tuple[int, tuple[float, float], str], list[Axes]] = {}
+    rooms = _label_rooms(content, titled=titled)
     for i, panels in enumerate(content.rows):
+        beneath = content.rows[i + 1] if i + 1 < len(content.rows) else ()
         for k, panel in enumerate(panels):
             ax = figure.add_subplot(grid[i, k])
             _fill(ax, panel, scale)
+            _label(ax, panel, rooms[k], scale)
+            if k < len(beneath) and shares_axis(panel, beneath[k]):
+                ax.set_xlabel("")
+                ax.tick_params(axis="x", labelbottom=False)
+            if k and panel.y_label == panels[k - 1].y_label:
+                ax.set_ylabel("")
+            above = content.rows[i - 1] if i else ()
+            if k < len(above) and panel.title == above[k].title:
+                ax.set_title("")
             coloured = panel.heat or panel.field
             if coloured is not None and panel.drawn:
                 row = i if len(content.widths) > 1 else 0
@@ -204,7 +260,8 @@ def _figure(content: PanelGrid, *, titled: bool, scale: float = 1.0) -> Figure:
             if panel.field is not None:
                 named |= _field_legend(panel.field, scale)
     for (_, _, label), axes in heats.items():
-        bar = figure.colorbar(axes[0].collections[0], ax=axes, label=label)
+        up = rooms[0][1] * (len(axes) if len(content.widths) == 1 else 1)
+        bar = figure.colorbar(axes[0].collections[0], ax=axes, label=wrapped(label, up))
         if isinstance(axes[0].collections[0].norm, LogNorm):
             _set_plain_log_ticks(bar.ax.yaxis)
     longest = max(map(len, named), default=0)
@@ -213,26 +270,41 @@ def _figure(content: PanelGrid, *, titled: bool, scale: float = 1.0) -> Figure:
     height += max(rows - 1, 0) * LEGEND_IN  # a long legend makes no panel flatter
     figure.set_size_inches(scale * width, scale * height)
     if titled:
-        above, below = 1.0 - 0.32 / height, 1.0 - 0.63 / height
-        figure.text(0.012, above, content.title, size=17 * scale, weight="bold", va="center")
-        figure.text(0.012, below, content.subtitle, size=12.5 * scale, va="center", color="#404040")
+        first, second = 1.0 - 0.32 / height, 1.0 - 0.63 / height
+        figure.text(0.012, first, content.title, size=17 * scale, weight="bold", va="center")
+        figure.text(
+            0.012, second, content.subtitle, size=12.5 * scale, va="center", color="#404040"
+        )
     top = TITLES_IN / height if titled else 0.0
     bottom = rows * LEGEND_IN / height
     layout.set(rect=(0.0, bottom, 1.0, 1.0 - bottom - top))
     if named:
         figure.legend(
-            named.values(), named.keys(), loc="lower left", ncols=min(len(named), abreast),
+            named.values(), named.keys(), loc="lower left", ncols=-(-len(named) // rows),
             bbox_to_anchor=(0.004, 0.0), borderaxespad=0.2,
         )  # fmt: skip
     return figure
 
 
+def _label_rooms(content: PanelGrid, *, titled: bool) -> list[tuple[float, float]]:
+    """Return how many letters fit below and beside the panels of each column, about."""
+    width, height = content.inches
+    shares = [share / sum(content.widths) for share in content.widths]
+    rows = len(content.rows)
+    high = (height - TITLES_IN * titled - LEGEND_IN) / rows - TICKS_IN - AXIS_IN / rows
+    return [(max(width * share - KEY_IN, 1.0) / LETTER_IN, high / LETTER_IN) for share in shares]
+
+
+def _label(ax: Axes, panel: Panel, room: tuple[float, float], scale: float) -> None:
+    """Write title and labels of a panel, in lines that fit."""
+    across, up = room
+    names = max((span.level + 1 for span in panel.spans if span.name), default=0)
+    ax.set_title(wrapped(panel.title, across), pad=scale * (TITLE_PT + NAME_PT * names))
+    ax.set_xlabel(wrapped(panel.x_label, across))
+    ax.set_ylabel(wrapped(panel.y_label, up))
+
+
 def _fill(ax: Axes, panel: Panel, scale: float = 1.0) -> None:
-    named = [span for span in panel.spans if span.name]
-    name_lines = max((span.level + 1 for span in named), default=0)
-    ax.set_title(panel.title, pad=scale * (TITLE_PT + NAME_PT * name_lines))
-    ax.set_xlabel(panel.x_label)
-    ax.set_ylabel(panel.y_label)
     if not panel.drawn:
         ax.text(0.5, 0.5, panel.note, transform=ax.transAxes, ha="center", va="center")
         ax.set_xticks([])
@@ -248,7 +320,7 @@ def _fill(ax: Axes, panel: Panel, scale: float = 1.0) -> None:
         ax.annotate(
             span.name, (span.start, 1.0), (1.0, scale * (3.0 + NAME_PT * span.level)),
             xycoords=ax.get_xaxis_transform(), textcoords="offset points",
-            va="bottom", size=10.5 * scale, annotation_clip=False,
+            va="bottom", size=SMALL_PT * scale, annotation_clip=False,
         )  # fmt: skip
     for at, colour in panel.marks:
         ax.axvline(at, color=colour, lw=0.9, ls=(0, (1, 2)))
@@ -258,15 +330,21 @@ def _fill(ax: Axes, panel: Panel, scale: float = 1.0) -> None:
             label=band.label,
         )  # fmt: skip
     for line in panel.lines:
+        shown = bool(np.isfinite(line.y).any())  # else a legend entry would have no mark
         ax.plot(
             line.x,
             line.y,
             color=line.colour,
-            label=line.label or None,
+            label=line.label if line.label and shown else None,
             **_line_style(line, scale),
             clip_on=panel.field is None,
             zorder=4 if panel.field is not None else None,
         )
+    for word in panel.words:
+        ax.annotate(
+            word.text, (word.x, word.y), (2.0 * scale, 2.0 * scale), textcoords="offset points",
+            color=word.colour, size=SMALL_PT * scale, annotation_clip=False,
+        )  # fmt: skip
     if panel.equal:
         ax.set_aspect("equal", adjustable="datalim")
         return
@@ -366,7 +444,8 @@ def _line_style(line: Line, scale: float) -> dict[str, Any]:
         return {
             "ls": "none",
             "marker": line.marker or "o",
-            "ms": scale * (8.0 if line.marker == "x" else 4.0),
+            "ms": scale * (8.0 if line.marker == "x" else 6.5 if line.hollow else 4.0),
+            **({"mfc": "none"} if line.hollow else {}),
         }
     style: dict[str, Any] = {"lw": scale * line.width, "ls": line.dashes, "solid_capstyle": "butt"}
     if line.marker:

@@ -82,10 +82,10 @@ def _map(
     step = 1 if small else -(-aircraft // MAX_NAMED)
     across = 1 if small else 2 * step  # names are wider than high
     return Panel(
-        f"{title}, {unit}",
+        "",
         "sender",
         "receiver",
-        heat=Heatmap(shown, limits, unit, texts),
+        heat=Heatmap(shown, limits, f"{title}, {unit}", texts),
         x_ticks=[(k + 0.5, names[k]) for k in range(0, aircraft, across)],
         y_ticks=[(n - i - 0.5, names[i + 1]) for i in range(0, n, step)],
         note="no messages",
@@ -114,9 +114,9 @@ def _distributions(data: NetworkFigureData, late: Array) -> Panel:
             name = f"{word}: {data.names[m]} > {data.names[i + 1]}" if links else word
             lines.append(_curve(data, i, m, end, colour, name, marker))
     return Panel(
-        "arrived within a time",
+        "",
         "time since the message was sent, ms",
-        "share of the messages sent, %",
+        "messages that arrived, %",
         lines,
         x_limits=(-0.02 * end, end),
         y_limits=(0.0, 103.0),

@@ -66,7 +66,8 @@ BLUE, ORANGE, GREEN, PINK, VIOLET, BROWN = list(ON_WHITE.values())[:6]
 BLACK, GREY = "#000000", "#8c8c8c"
 GRID = "#e3e3e3"
 PATH = "#c4c4c4"  # of the commanded path, below all other curves
-DASHED = "--"
+DASHED, DOTTED, DASH_DOTTED = "--", ":", "-."
+DASHES = ("-", DASHED, DASH_DOTTED)  # of curves that are seen over each other, where they are equal
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +80,8 @@ class Line:
     label: str = ""
     width: float = 1.0  # points
     dots: bool = False  # a dot at each number in place of a line
-    dashes: str = "-"  # or DASHED
+    hollow: bool = False  # dots that show what they cover
+    dashes: str = "-"  # or DASHED, DOTTED, DASH_DOTTED
     marker: str = ""  # distinguishes curves without colours: "o", "s", "^", …
     marker_phase: float = 0.0  # 0..1 of the distance between two markers, position of the first
     marks: int = 8  # approximate number of markers; 0: one at each number
@@ -105,6 +107,16 @@ class Span:
     end: float
     name: str
     level: int = 0  # text lines below the top at which the name stands
+
+
+@dataclass(frozen=True, slots=True)
+class Word:
+    """A text beside a curve, in place of a legend entry; right and above its place."""
+
+    x: float
+    y: float
+    text: str
+    colour: str = BLACK
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,6 +172,7 @@ class Panel:
     x_ticks: Sequence[tuple[float, str]] = ()  # positions and texts in place of numbers
     y_ticks: Sequence[tuple[float, str]] = ()
     y_degrees: bool = False  # ticks at parts of a right angle
+    words: Sequence[Word] = ()
     heat: Heatmap | None = None  # below the lines
     field: FieldMap | None = None  # below the lines
 

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from testbed.core.records import Array
-from testbed.views.panels import GREY, GRID, ON_WHITE, Line, Panel, PanelGrid
+from testbed.views.panels import BLACK, GREY, ON_WHITE, Line, Panel, PanelGrid, Word
 
 COLOURS = tuple(ON_WHITE.values())
-MARKERS = ("s", "x", "o", "^", "v", "D")  # seen over each other, where poles are equal
+MARKERS = ("s", "x", "o", "^", "v", "D")  # hollow: seen over each other, where poles are equal
 FASTEST_HZ = 3.0  # faster poles are those of filters
-SLOWEST_PER_S = -8.0
+SLOWEST_PER_S, RIGHT_PER_S = -8.0, 0.8  # real parts drawn
+AXES = "real part, 1/s", "frequency of oscillations, Hz"
 RATIOS = (0.1, 0.2, 0.3)  # of damping, at which lines are drawn
 PANEL_INCHES = (4.2, 3.8)  # width and height
 HEADER_INCHES = 1.6
@@ -36,23 +37,13 @@ class PolesAtBank:
 def poles_figure(title: str, subtitle: str, banks: Sequence[PolesAtBank]) -> PanelGrid:
     """Lay out a panel for each bank: real parts and frequencies of oscillations."""
     width, height = PANEL_INCHES
-    panels = [_panel(each, first=each is banks[0]) for each in banks]
+    panels = [_panel(each) for each in banks]
     size = max(len(panels), 2) * width, HEADER_INCHES + height
     return PanelGrid(title, subtitle, [panels], (1.0,) * len(panels), size)
 
 
-def _panel(bank: PolesAtBank, *, first: bool) -> Panel:
-    frequency = np.linspace(0.0, FASTEST_HZ, 2)
-    lines = [
-        Line(
-            -2.0 * math.pi * frequency * ratio / math.sqrt(1.0 - ratio**2),
-            frequency,
-            GRID if ratio != RATIOS[0] else GREY,
-            f"damping ratio {', '.join(map(str, RATIOS))}" if ratio == RATIOS[0] else "",
-        )
-        for ratio in RATIOS
-    ]
-    lines.append(Line(np.zeros(2), frequency, "#000000", "unstable to the right"))
+def _panel(bank: PolesAtBank) -> Panel:
+    lines, words = damping_lines()
     for k, (name, poles) in enumerate(bank.poles.items()):
         shown = poles[
             (poles.imag > 0.0)
@@ -61,6 +52,24 @@ def _panel(bank: PolesAtBank, *, first: bool) -> Panel:
         ]
         colour, marker = COLOURS[k % len(COLOURS)], MARKERS[k % len(MARKERS)]
         lines.append(
-            Line(shown.real, shown.imag / (2.0 * math.pi), colour, name, dots=True, marker=marker)
+            Line(
+                shown.real,
+                shown.imag / (2.0 * math.pi),
+                colour,
+                name,
+                dots=True,
+                hollow=True,
+                marker=marker,
+            )
         )
-    return Panel(bank.title, "real part, 1/s", "frequency, Hz" if first else "", lines)
+    return Panel(bank.title, *AXES, lines, words=words, x_limits=(SLOWEST_PER_S, RIGHT_PER_S))
+
+
+def damping_lines() -> tuple[list[Line], list[Word]]:
+    """Return the lines of equal damping, their names, and the limit of stability."""
+    frequency = np.linspace(0.0, FASTEST_HZ, 2)
+    slopes = {each: -2.0 * math.pi * each / math.sqrt(1.0 - each**2) for each in RATIOS}
+    lines = [Line(slope * frequency, frequency, GREY, width=0.8) for slope in slopes.values()]
+    words = [Word(slope * FASTEST_HZ, FASTEST_HZ, f"{each:g}") for each, slope in slopes.items()]
+    lines[0] = replace(lines[0], label="lines of equal damping ratio")
+    return [*lines, Line(np.zeros(2), frequency, BLACK, "unstable to the right")], words

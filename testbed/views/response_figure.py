@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from testbed.core.records import Array
-from testbed.views.panels import BLACK, ORANGE, Line, Panel, PanelGrid
+from testbed.views.panels import BLACK, DASHED, ORANGE, Line, Panel, PanelGrid
 
 COLUMNS = 2
 PANEL_INCHES = (7.5, 2.5)  # width and height
@@ -39,7 +39,7 @@ class ResponseFigureData:
 def response_figure(data: ResponseFigureData) -> PanelGrid:
     """Lay out a panel for each quantity, two beside each other."""
     count = len(data.quantities)
-    panels = [_panel(data, k, last=k >= count - COLUMNS) for k in range(count)]
+    panels = [_panel(data, each) for each in data.quantities]
     rows = [panels[k : k + COLUMNS] for k in range(0, count, COLUMNS)]
     width, height = PANEL_INCHES
     columns = min(COLUMNS, count)
@@ -47,19 +47,18 @@ def response_figure(data: ResponseFigureData) -> PanelGrid:
     return PanelGrid(data.title, data.subtitle, rows, (1.0,) * columns, size)
 
 
-def _panel(data: ResponseFigureData, k: int, *, last: bool) -> Panel:
-    each = data.quantities[k]
+def _panel(data: ResponseFigureData, each: RecordedAndModelled) -> Panel:
     recorded, model = (
         np.unwrap(values, period=360.0) if each.name == "heading" else values
         for values in (each.recorded, each.model)
     )
     return Panel(
-        f"{each.name}, difference {each.rms:.3g} {each.unit} RMS",
-        "time, s" if last else "",
-        each.unit,
+        f"difference {each.rms:.3g} {each.unit} RMS",
+        "time, s",
+        ", ".join(filter(None, [each.name, each.unit])),
         [
             Line(data.time_s, recorded, BLACK, "recorded", 1.6),
-            Line(data.time_s, model, ORANGE, "model", 1.0),
+            Line(data.time_s, model, ORANGE, "model", 1.2, dashes=DASHED),
         ],
         x_limits=(float(data.time_s[0]), float(data.time_s[-1])),
     )

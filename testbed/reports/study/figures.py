@@ -14,8 +14,6 @@ from testbed.reports.figure_spec import Figure, FigureSpec, make_figure
 from testbed.reports.plot_selection import STYLES
 from testbed.reports.study.maps import study_map
 from testbed.reports.study.parameter_plots import (
-    MAX_ACROSS,
-    MAX_BESIDE,
     decimate_evenly,
     in_pairs,
     needs_log_axis,
@@ -33,15 +31,13 @@ from testbed.reports.study.study_data import (
     format_level,
     metric_title,
     metric_words,
-    wrap_key,
 )
 from testbed.reports.study.tables import level_groups
-from testbed.views.panels import BLACK, Heatmap, Line, Panel
+from testbed.views.panels import BLACK, DASHES, Heatmap, Line, Panel
 
 MAX_METRICS = 4  # drawn; the tables have all
 MAX_MAPS = 12  # panels of a figure; the maps of one pair are drawn in any case
 MIN_CELL_FLIGHTS = 5  # average number of flights in a cell of a heat map of drawn points
-MAX_UP = 20  # letters of a line of a label beside a map
 MAX_POINT_ROWS = 12  # of the figure of cases
 MIN_CASE_FLIGHTS = 10  # of a case whose distribution is drawn
 
@@ -148,9 +144,9 @@ def _heat_map(
     limits = float(known.min()), float(known.max())
     return Panel(
         group.name,
-        wrap_key(x.key, MAX_ACROSS),
-        wrap_key(y.key, MAX_UP),
-        heat=Heatmap(values, limits, axis_label(metric, MAX_BESIDE), texts),
+        x.key,
+        y.key,
+        heat=Heatmap(values, limits, axis_label(metric), texts),
         x_ticks=[(k + 0.5, name.replace(" to ", "\nto ")) for k, (name, _) in enumerate(columns)],
         y_ticks=[(i + 0.5, name) for i, (name, _) in enumerate(rows)],
     )
@@ -181,12 +177,15 @@ def cases(study: StudyData, metric: str) -> FigureSpec | None:
         if k:
             pairs = [estimate_of(study.change(metric, k, here)) for _, here in places]
             differences += _interval_lines(pairs, rows, *style, label=label)
+        elif one_row_each:  # of the first from itself
+            zero = np.zeros(1)
+            differences.append(Line(zero, zero, style[0], dots=True, hollow=True, marker=style[1]))
     if one_row_each:
         ticks = [(float(-k), name) for k, name in enumerate(flights.cases[:count])]
     else:
         ticks = [(float(-k), at or "all points") for k, (at, _) in enumerate(places)]
     limits = (ticks[-1][0] - 0.6, 0.6)
-    label, (_, unit) = axis_label(metric, MAX_ACROSS), metric_words(metric)
+    label, (_, unit) = axis_label(metric), metric_words(metric)
     of_what = "a case" if one_row_each else "each case, by point"
     panels = [
         Panel(
@@ -260,12 +259,13 @@ def distributions(study: StudyData, metric: str) -> FigureSpec | None:
         if known.size < MIN_CASE_FLIGHTS:
             continue
         at = decimate_evenly(known.size)
-        lines.append(_steps(known[at], (at + 1.0) / int(of_case.sum()), *STYLES[k], label=name))
+        steps = _steps(known[at], (at + 1.0) / int(of_case.sum()), *STYLES[k], label=name)
+        lines.append(replace(steps, dashes=DASHES[k % len(DASHES)], marker_phase=k / len(groups)))
     if not lines:
         return None
     drawn = np.concatenate([line.x for line in lines])
     panel = Panel(
-        "", axis_label(metric, MAX_ACROSS), "share of flights", lines,
+        "", axis_label(metric), "share of flights", lines,
         y_limits=(0.0, 1.02), x_log=needs_log_axis(drawn),
     )  # fmt: skip
     caption = (

@@ -16,7 +16,7 @@ from scipy.interpolate import LinearNDInterpolator
 from testbed.core.records import Array
 from testbed.reports.figure_spec import FigureSpec
 from testbed.reports.study.map_points import LOST_SHARE, MapPoints, map_axes, map_points
-from testbed.reports.study.parameter_plots import MAX_ACROSS, MAX_BESIDE, in_pairs
+from testbed.reports.study.parameter_plots import in_pairs
 from testbed.reports.study.study_data import (
     FlightGroup,
     Parameter,
@@ -24,11 +24,9 @@ from testbed.reports.study.study_data import (
     axis_label,
     metric_title,
     metric_words,
-    wrap_key,
 )
 from testbed.views.panels import BLACK, FieldMap, Line, Panel
 
-MAX_UP = 20  # letters of a line of a label beside a map
 LOG_RATIO = 10.0  # of the largest to the smallest value, from which on colours are logarithmic
 PANEL_IN = 5.2  # height of a row
 MARKERS = ("x", "^", "s", "v", "D", "P")  # of outcomes
@@ -83,15 +81,15 @@ def _panel(
     how = ends[0].replace("_", " ") if len(ends) == 1 else "not completed"
     return Panel(
         group.name,
-        wrap_key(x.key, MAX_ACROSS),
-        wrap_key(y.key, MAX_UP),
+        x.key,
+        y.key,
         _dots(points, ends),
         x_limits=(float(grid_x[0]), float(grid_x[-1])),
         y_limits=(float(grid_y[0]), float(grid_y[-1])),
         field=replace(
             field,
             limits=(float(known.min()), float(known.max())),
-            label=axis_label(metric, MAX_BESIDE * 2),
+            label=axis_label(metric),
             contour=contour,
             contour_label=f"{words}: {amount}",
             outside_label=f"{how}: at least half of the flights",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -22,17 +21,14 @@ from testbed.reports.study.study_data import (
     format_level,
     metric_title,
     running_quantiles,
-    wrap_key,
 )
-from testbed.views.panels import BLACK, DASHED, Band, Line, Panel
+from testbed.views.panels import BLACK, DASHED, DASHES, Band, Line, Panel
 
 MAX_DOTS = 1500  # of a scatter
 MIN_RUNNING = 30  # flights of a scatter with running quantiles
 WINDOW = 0.15  # share of the flights in the window of a running quantile
 QUANTILES = (0.1, 0.5, 0.9)
 MAX_STRONG_BANDS = 3  # of more in a panel, bands are paler, because they cross
-MAX_ACROSS = 44  # letters of a line of a label below a panel
-MAX_BESIDE = 20  # letters of a line of a label beside a panel
 MAX_FACETS = 4  # panels of a parameter, for levels of the others; of more, their mean is drawn
 ROW_IN = 3.4  # height of a row of panels, inches
 MARGIN, LOG_MARGIN = 0.06, 1.2  # of a vertical axis: part of the range, factor
@@ -149,9 +145,7 @@ def _facets(study: StudyData, others: Sequence[Parameter]) -> list[Facet]:
     count = math.prod(len(each.levels) for each in others)
     if study.random or count > MAX_FACETS:
         names = [each.key for each in others]
-        return [
-            Facet("\n".join(textwrap.wrap(f"mean over {', '.join(names)}", MAX_ACROSS)), everything)
-        ]
+        return [Facet(f"mean over {', '.join(names)}", everything)]
     facets = []
     for levels in product(*(range(len(each.levels)) for each in others)):
         chosen = list(zip(others, levels, strict=True))
@@ -229,9 +223,13 @@ def _curves(
             np.array([getattr(each, name) for each in estimates])
             for name in ("value", "low", "high")
         )
-        values.append(y)
         if parameter.numeric:
-            lines.append(Line(x, y, group.colour, group.name, 1.6, marker=group.marker, marks=0))
+            dashes = DASHES[len(values) % len(DASHES)]
+            lines.append(
+                Line(
+                    x, y, group.colour, group.name, 1.6, dashes=dashes, marker=group.marker, marks=0
+                )
+            )
             if np.isfinite(low).any():
                 opacity = 0.25 if len(groups) <= MAX_STRONG_BANDS else 0.12
                 bands.append(Band(x, low, high, group.colour, opacity=opacity))
@@ -242,6 +240,7 @@ def _curves(
                 for at, *ends in zip(x, low, high, strict=True)
                 if np.isfinite(ends).all()
             ]
+        values.append(y)
         for k, at in enumerate(x):
             incomplete = of_group & (parameter.index == k) & ~study.flights.completed
             if incomplete.any() and np.isfinite(y[k]):
@@ -253,8 +252,8 @@ def _curves(
     limits = (-0.5, len(parameter.levels) - 0.5)
     return Panel(
         facet.title,
-        wrap_key(parameter.key, MAX_ACROSS),
-        axis_label(metric, MAX_BESIDE),
+        parameter.key,
+        axis_label(metric),
         lines,
         bands,
         x_log=parameter.logarithmic,
@@ -293,6 +292,6 @@ def _scatter(
                 label = f"{share:.0%}" if single else ""
                 lines.append(Line(middle[at], values[at], colour, label, 1.8, dashes=dashes))
     return Panel(
-        facet.title, wrap_key(parameter.key, MAX_ACROSS), axis_label(metric, MAX_BESIDE), lines,
+        facet.title, parameter.key, axis_label(metric), lines,
         x_log=parameter.logarithmic, y_log=needs_log_axis(y[known]), note=EMPTY_NOTE,
     )  # fmt: skip

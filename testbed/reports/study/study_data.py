@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -68,22 +67,9 @@ def metric_title(metric: str) -> str:
     return words[0].upper() + words[1:]
 
 
-def axis_label(metric: str, length: int = 0) -> str:
-    """Return the words and the unit of a metric, in lines of at most this length; 0: in one."""
-    label = ", ".join(filter(None, metric_words(metric)))
-    return "\n".join(textwrap.wrap(label, length, break_long_words=False)) if length else label
-
-
-def wrap_key(key: str, length: int) -> str:
-    """Break a key of a scenario behind dots into lines of at most this length where possible."""
-    lines = [""]
-    parts = key.split(".")
-    for k, part in enumerate(parts):
-        text = part + "." * (k < len(parts) - 1)
-        if lines[-1] and len(lines[-1]) + len(text) > length:
-            lines.append("")
-        lines[-1] += text
-    return "\n".join(lines)
+def axis_label(metric: str) -> str:
+    """Return the words and the unit of a metric."""
+    return ", ".join(filter(None, metric_words(metric)))
 
 
 def _plain(name: str) -> str:

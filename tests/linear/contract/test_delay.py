@@ -1,6 +1,7 @@
 """`testbed delay`: its table, JSON, figure and errors."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 from commands import call_command, refuse_all
@@ -23,7 +24,7 @@ def test_delay_command_predicts(tmp_path):
     forward = [each["predicted"]["offset_m"]["uav1"]["forward"] for each in found]
     assert -2.4 < forward[0] < -2.0 < forward[1] < 0.0 and forward[2] < -8.0
     assert all(each["flown"] is None for each in found)
-    assert "predicted, from receipt" in (tmp_path / "f.svg").read_text("utf-8")
+    assert "extrapolated from receipt" in (tmp_path / "f.svg").read_text("utf-8")
 
 
 def test_delay_command_refuses(tmp_path):
@@ -31,11 +32,11 @@ def test_delay_command_refuses(tmp_path):
 
 
 def test_figure_has_no_curve_without_numbers():
-    """Nor an axis that shows rounding: a law of one's own has no prediction, and flies straight."""
+    """Nor a panel that shows rounding: a law of one's own has no prediction, and flies straight."""
     delays, unknown = np.array([0.1, 0.3]), np.full((2, 3), np.nan)
     flown = np.array([[-2.0, 4e-9, 0.0], [-6.0, -8e-9, 0.0]])
     offsets = FollowerOffsets("uav1", delays, {"law": unknown}, {"law": flown})
-    (forward,), (right,) = delay_figure("title", "", [offsets]).rows
-    for panel in (forward, right):
-        assert [each.label for each in panel.lines] == ["flown, from law"]
-    assert forward.y_limits is None and right.y_limits == (-0.1, 0.1)
+    ((forward,),) = delay_figure("title", "", [offsets]).rows
+    assert [each.label for each in forward.lines] == ["uav1, flown"]
+    turned = replace(offsets, flown={"law": flown + np.array([0.0, 0.5, 0.0])})
+    assert len(delay_figure("title", "", [turned]).rows) == 2

@@ -290,7 +290,7 @@ def test_shaded_frequencies_lack_short_waves():
 def test_plot_of_two_probes_has_coherence(model, tmp_path, monkeypatch):
     sheets = []
     monkeypatch.setattr(
-        "testbed.views.matplotlib_backend.save_figure", lambda sheet, path: sheets.append(sheet)
+        "testbed.views.matplotlib_backend.save_figure", lambda sheet, *_: sheets.append(sheet)
     )
     words = ("--duration", 20, "--separation", 50, "--plot", tmp_path / "a.png")
     assert air(*words, sets=(f"{MODEL}={model}",)).exit_code == 0
@@ -300,7 +300,7 @@ def test_plot_of_two_probes_has_coherence(model, tmp_path, monkeypatch):
         assert record.drawn  # without turbulence, a line at zero
         assert spectrum.drawn == coherence.drawn == (model != "none")
         assert len(spectrum.bands) == len(coherence.bands) == (model != "none")
-        assert "50 m apart" in coherence.title
+        assert coherence.lines[0].label == "between the probes, 50 m apart"
         # V / (2 m + 2.9 m)
         assert [span.start for span in spectrum.spans] == pytest.approx(
             [22.0 / 4.909] if model == "coherent" else [], rel=1e-3

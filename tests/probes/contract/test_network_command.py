@@ -332,7 +332,7 @@ def test_plot_has_the_numbers_of_the_table(tmp_path, monkeypatch):
     """Each link's share in its cell; curves that end at the share that arrived."""
     grids = []
     monkeypatch.setattr(
-        "testbed.views.matplotlib_backend.save_figure", lambda grid, path: grids.append(grid)
+        "testbed.views.matplotlib_backend.save_figure", lambda grid, *_: grids.append(grid)
     )
     words = ("--packets", 500, "--plot", tmp_path / "a.png", "--json", tmp_path / "a.json")
     assert network(*words, sets=LINKED).exit_code == 0
@@ -358,7 +358,7 @@ def test_plot_has_the_numbers_of_the_table(tmp_path, monkeypatch):
 def test_plot_of_equal_links_and_of_a_large_fleet(tmp_path, monkeypatch):
     grids = []
     monkeypatch.setattr(
-        "testbed.views.matplotlib_backend.save_figure", lambda grid, path: grids.append(grid)
+        "testbed.views.matplotlib_backend.save_figure", lambda grid, *_: grids.append(grid)
     )
     words = ("--packets", 5, "--plot", tmp_path / "a.png")
     assert network(*words, scenario="vee-30").exit_code == 0

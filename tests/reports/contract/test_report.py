@@ -197,6 +197,9 @@ def test_command_bad_input_is_an_error(tmp_path):
     synthetic(tmp_path / "run")
     (tmp_path / "bare").mkdir()
     (tmp_path / "bare" / "metrics.json").write_text("{}")
+    (tmp_path / "list.yaml").write_text("[uav1]\n")
+    (tmp_path / "labels.yaml").write_text('uav1: "$u_1$"\nuav9: left\ntime: t\n"eror": error\n')
+    (tmp_path / "wrong.yaml").write_text('uav1: $\\wrong$\ncourse: 7\nuav2: ""\n')
     refuse_all("report", tmp_path)
 
 

@@ -14,6 +14,7 @@ from testbed.core.errors import InputError
 from testbed.reports.html import render_page, save_figures
 from testbed.reports.study import latex_table, study_figures, study_page, tables
 from testbed.reports.study.maps import study_map
+from testbed.views.figure_style import FigureStyle
 from testbed.views.matplotlib_backend import figure_svg
 
 X, Y = "network.delay_s", "air.wind.speed_mps"
@@ -162,7 +163,7 @@ def test_map_of_too_few_points_is_left_out(keep):
 
 def test_map_for_a_paper_has_its_width(tmp_path):
     figure = next(study_figures(map_of()))
-    (path,) = save_figures([figure], tmp_path, "png", titled=False, width_in=3.5)
+    (path,) = save_figures([figure], tmp_path, "png", FigureStyle(width_in=3.5, titled=False))
     with Image.open(path) as picture:
         assert picture.width / picture.info["dpi"][0] == pytest.approx(3.5, abs=0.01)
     assert figure_svg(figure.grid) == figure_svg(figure.grid)

@@ -18,13 +18,13 @@ from rich.console import Console
 from study_samples import METRIC, PAGE, drawn, factorial, flights_of, study_of, write_study
 
 from testbed.cli.study_report import find_study_file, read_study
-from testbed.reports.figure_spec import fit_width
 from testbed.reports.html import render_page, save_figures
 from testbed.reports.study import figures, latex_table, study_page, tables
 from testbed.reports.study.page import print_summary
 from testbed.reports.study.parameter_plots import parameters
 from testbed.reports.study.report_table import format_cell, format_number
-from testbed.reports.study.study_data import IntervalEstimate, axis_label, wrap_key
+from testbed.reports.study.study_data import IntervalEstimate, axis_label
+from testbed.views.figure_style import FigureStyle, fit_width
 from testbed.views.matplotlib_backend import figure_svg
 
 SLUG = "windows-laps-mean_rms_m"
@@ -151,7 +151,7 @@ def test_parameter_plot_has_curves_bands_crosses(made):
     study, _ = made
     drawing = parameters(study, METRIC)
     panel = drawing.rows[0][0]
-    assert panel.x_label == "network.loss" and panel.y_label == "mean RMS error,\nlaps, m"
+    assert panel.x_label == "network.loss" and panel.y_label == "mean RMS error, laps, m"
     assert panel.title == "air.wind.speed_mps 0"
     calm = panel.lines[0]
     loss, wind, law = study.flights.parameters
@@ -209,8 +209,7 @@ def test_figures_of_a_paper_have_its_width(made, tmp_path):
     """In inches, with panels in one column, and no title."""
     study, _ = made
     (figure,) = [each for each in figures.study_figures(study) if each.name.startswith("cases")]
-    options = {"ending": "svg", "titled": False, "width_in": 3.5}
-    (path,) = save_figures([figure], tmp_path, **options)
+    (path,) = save_figures([figure], tmp_path, "svg", FigureStyle(width_in=3.5, titled=False))
     text = path.read_text()
     assert f'width="{3.5 * 72:g}pt"' in text and "by case -->" not in text
     narrow = fit_width(figure.grid, 3.5, titled=False)
@@ -281,15 +280,6 @@ def test_heat_maps_have_every_pair(made):
 )
 def test_labels_of_metrics_are_words_with_a_unit(metric, label):
     assert axis_label(metric) == label
-
-
-def test_long_keys_break_behind_dots():
-    key = "controller.estimators.leader_angular_acceleration"
-    assert wrap_key(key, 24).split("\n") == [
-        "controller.estimators.",
-        "leader_angular_acceleration",
-    ]
-    assert wrap_key("network.delay_s", 24) == "network.delay_s"
 
 
 def test_panels_of_a_metric_share_a_vertical_axis():
