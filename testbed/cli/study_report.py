@@ -220,7 +220,7 @@ def read_study(path: Path, *, metrics: Sequence[str], statistic: str) -> StudyDa
     if not len(table.columns["run"]):
         raise InputError(f"{path}: no run has ended yet, so there is nothing to report")
     config = _study_config(table)
-    flights = _flights(table)
+    flights = _flights(table, config)
     commands = dict(zip(flights.run.tolist(), table.columns["command"].tolist(), strict=True))
     head = config.study if config else None
     of_study = head.shown_metrics if head else ()
@@ -267,7 +267,7 @@ def _scenario_names(config: StudyConfig | None) -> str:
     return ", ".join(dict.fromkeys((*own, *of_cases)))
 
 
-def _flights(table: StudyTable) -> StudyFlights:
+def _flights(table: StudyTable, config: StudyConfig | None) -> StudyFlights:
     import numpy as np
 
     from testbed.pool.flight_task import COMPLETED
@@ -293,6 +293,8 @@ def _flights(table: StudyTable) -> StudyFlights:
             if name.startswith(METRICS)
         },
         completed=np.array([each == COMPLETED for each in outcome], dtype=np.bool_),
+        case_label=config.case_labels if config else {},
+        key_label=config.key_labels if config else {},
     )
 
 

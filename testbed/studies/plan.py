@@ -158,10 +158,7 @@ class Plan(Sequence[StudyRun]):
         name = self.cases[case]
         values = self.point(point)
         config = self.study.config
-        own = {
-            key: each for key, each in config.cases.get(name, {}).items() if key != CASE_SCENARIO
-        }
-        changes = {**config.study.set, **own}  # no key of vary is among them
+        changes = {**config.study.set, **config.case_changes(name)}  # no key of vary is among them
         return StudyRun(
             (case * self.point_count + point) * len(self.seeds) + seed,
             name,

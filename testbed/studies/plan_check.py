@@ -286,6 +286,6 @@ def _key_location(plan: Plan, run: StudyRun, key: str) -> tuple[str, ...] | None
     config = plan.study.config
     if key in config.vary:
         return ("vary", key)
-    if key in config.cases.get(run.case, {}):
+    if key in config.case_changes(run.case):
         return ("cases", run.case, key)
     return ("study", "set", key) if key in config.study.set else None

@@ -28,6 +28,8 @@ MAX_RUNS = 1_000_000
 MAX_SEEDS = 100_000
 MAX_LEVELS = 8  # of a map: cells of 256 points a side
 CASE_SCENARIO = "scenario"  # the key of a case that names a scenario, and changes no key of one
+CASE_LABEL = "label"  # the same, of what stands for it in figures and tables
+MAX_LABEL = 80  # letters
 
 Value = bool | int | float | str
 """A value of a scenario key."""
@@ -89,6 +91,9 @@ class Variation(Section):
         None, description="Distribution over [low, high] whose logarithm is uniform."
     )
     normal: Pair | None = Field(None, description="Normal distribution, [mean, sd].")
+    label: str | None = Field(
+        None, description="What stands for the key in figures and tables of the report."
+    )
 
     @property
     def is_distribution(self) -> bool:
@@ -268,8 +273,25 @@ class StudyConfig(Section):
         {}, description="Scenario keys and their values."
     )
     cases: Mapping[Name, Mapping[str, Any]] = Field(
-        {}, description="Named changes; each is flown with every point of vary."
+        {},
+        description="Named changes; each is flown with every point of vary. The key label is what "
+        "stands for the case in figures and tables of the report.",
     )
+
+    def case_changes(self, case: str) -> Mapping[str, Any]:
+        """Return the scenario keys that a case changes; of no case: none."""
+        own = (CASE_SCENARIO, CASE_LABEL)
+        return {key: each for key, each in self.cases.get(case, {}).items() if key not in own}
+
+    @property
+    def case_labels(self) -> Mapping[str, str]:
+        """Labels by the names of cases that have one."""
+        return {name: each[CASE_LABEL] for name, each in self.cases.items() if each.get(CASE_LABEL)}
+
+    @property
+    def key_labels(self) -> Mapping[str, str]:
+        """Labels by the keys of vary that have one."""
+        return {key: each.label for key, each in self.vary.items() if each.label}
 
     @model_validator(mode="after")
     def _check_study(self) -> Self:
@@ -286,6 +308,7 @@ def _check(config: StudyConfig) -> list[KeyProblem]:
         *_check_design(config),
         *_check_map(config),
         *_check_keys(config),
+        *_check_labels(config),
         *_check_lists(config),
         *_check_prediction(config.study),
     ]
@@ -417,6 +440,23 @@ def _check_keys(config: StudyConfig) -> Iterator[KeyProblem]:
         scenario = case.get(CASE_SCENARIO)
         if CASE_SCENARIO in case and not (isinstance(scenario, str) and scenario):
             yield ("cases", name, CASE_SCENARIO), "must be the name or the path of a scenario"
+
+
+def _check_labels(config: StudyConfig) -> Iterator[KeyProblem]:
+    of_cases = {k: each[CASE_LABEL] for k, each in config.cases.items() if CASE_LABEL in each}
+    of_keys = {key: each.label for key, each in config.vary.items() if each.label is not None}
+    sections = {"cases": (config.cases, of_cases), "vary": (config.vary, of_keys)}
+    for section, (names, labels) in sections.items():
+        # what stands for each of them: two of the same could not be told apart
+        shown = {name: labels.get(name, name) for name in names}
+        for name, label in labels.items():
+            here = (section, name, "label")
+            if not isinstance(label, str) or not label.strip() or "\n" in label:
+                yield here, "must be a text of one line"
+            elif len(label) > MAX_LABEL:
+                yield here, f"has {len(label)} letters (write at most {MAX_LABEL})"
+            elif others := [each for each in shown if shown[each] == label and each != name]:
+                yield here, f"is also what stands for {others[0]} (write another one)"
 
 
 def _check_lists(config: StudyConfig) -> Iterator[KeyProblem]:

@@ -46,7 +46,7 @@ class FigureStyle:
     def lay_out(self, grid: PanelGrid) -> PanelGrid:
         """Return a figure with its labels and its width."""
         if self.labels:
-            grid = _renamed(grid, _renaming(self.labels))
+            grid = renamed(grid, _renaming(self.labels))
         if self.width_in is not None:
             grid = fit_width(grid, self.width_in, titled=self.titled)
         return grid
@@ -100,20 +100,20 @@ def texts_of(grid: PanelGrid) -> Iterator[str]:
         found.append(text)
         return text
 
-    _renamed(grid, keep)
+    renamed(grid, keep)
     yield from filter(None, found)
 
 
-def _renamed(part: Any, rename: Callable[[str], str]) -> Any:  # noqa: ANN401 - any part of a figure
+def renamed(part: Any, rename: Callable[[str], str]) -> Any:  # noqa: ANN401 - any part of a figure
     """Return a part of a figure with other texts."""
     if isinstance(part, str):
         return rename(part)
     if isinstance(part, list | tuple):
-        return [_renamed(each, rename) for each in part]
+        return [renamed(each, rename) for each in part]
     if not is_dataclass(part):
         return part  # the position of a tick
     new = {
-        each.name: _renamed(getattr(part, each.name), rename)
+        each.name: renamed(getattr(part, each.name), rename)
         for each in fields(part)
         if each.name in _TEXTS | _PARTS
     }

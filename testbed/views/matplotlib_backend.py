@@ -24,6 +24,7 @@ from testbed.views.figure_style import (
     TEXT_PT,
     TITLES_IN,
     FigureStyle,
+    renamed,
     shares_axis,
     wrapped,
 )
@@ -190,8 +191,15 @@ def check_font(family: str) -> None:
         raise InputError(f"{family}: is not installed (write one of {', '.join(known)})")
 
 
+def _drawable(text: str) -> str:
+    """Return a text whose parts in $...$ are as they stand where they are no mathematics."""
+    return text.replace("$", r"\$") if mathematics_problem(text) else text
+
+
 def mathematics_problem(text: str) -> str:
     """Return what is wrong with the parts of a text in $...$; "" if nothing is."""
+    if text.count("$") < 2:
+        return ""
     from matplotlib.mathtext import MathTextParser
 
     try:
@@ -227,6 +235,7 @@ class _RoundedLayout(ConstrainedLayoutEngine):
 
 
 def _figure(content: PanelGrid, *, titled: bool, scale: float = 1.0) -> Figure:
+    content = renamed(content, _drawable)
     width, height = content.inches  # and all lengths below: before they are scaled
     layout = _RoundedLayout(wspace=0.04, hspace=0.06)
     figure = Figure(figsize=(scale * width, scale * height), dpi=DOTS_PER_INCH, layout=layout)

@@ -143,9 +143,9 @@ def _heat_map(
         return None
     limits = float(known.min()), float(known.max())
     return Panel(
-        group.name,
-        x.key,
-        y.key,
+        group.label,
+        x.label,
+        y.label,
         heat=Heatmap(values, limits, axis_label(metric), texts),
         x_ticks=[(k + 0.5, name.replace(" to ", "\nto ")) for k, (name, _) in enumerate(columns)],
         y_ticks=[(i + 0.5, name) for i, (name, _) in enumerate(rows)],
@@ -157,7 +157,7 @@ def cases(study: StudyData, metric: str) -> FigureSpec | None:
     flights = study.flights
     if len(flights.cases) < 2 or study.is_map:  # the points of a map are chosen unevenly
         return None
-    first, count = flights.cases[0], min(len(flights.cases), len(STYLES))
+    first, count = flights.case_labels[0], min(len(flights.cases), len(STYLES))
     places = _places(study)
     one_row_each = len(places) == 1  # cases one below the other, else in the row of a point
     spacing = 1.0 if one_row_each else 0.7 / count
@@ -172,7 +172,7 @@ def cases(study: StudyData, metric: str) -> FigureSpec | None:
             for at, here in places
         ]
         style = STYLES[0 if one_row_each else k]
-        label = "" if one_row_each else name
+        label = "" if one_row_each else flights.case_labels[k]
         values += _interval_lines(estimates, rows, *style, label=label)
         if k:
             pairs = [estimate_of(study.change(metric, k, here)) for _, here in places]
@@ -181,7 +181,7 @@ def cases(study: StudyData, metric: str) -> FigureSpec | None:
             zero = np.zeros(1)
             differences.append(Line(zero, zero, style[0], dots=True, hollow=True, marker=style[1]))
     if one_row_each:
-        ticks = [(float(-k), name) for k, name in enumerate(flights.cases[:count])]
+        ticks = [(float(-k), name) for k, name in enumerate(flights.case_labels[:count])]
     else:
         ticks = [(float(-k), at or "all points") for k, (at, _) in enumerate(places)]
     limits = (ticks[-1][0] - 0.6, 0.6)
@@ -219,8 +219,11 @@ def _places(study: StudyData) -> list[tuple[str, BoolArray]]:
     points = sorted(set(flights.point.tolist()))
     if study.random or not 1 < len(points) <= MAX_POINT_ROWS:
         return everything
-    keys = [each.key for each in flights.parameters]
-    ends = [key.rpartition(".")[2] for key in keys]
+    keys = [each.label for each in flights.parameters]
+    ends = [
+        each.label if each.label != each.key else each.key.rpartition(".")[2]
+        for each in flights.parameters
+    ]
     names = ends if len(set(ends)) == len(ends) else keys
     for point in points:
         here = flights.point == point
@@ -254,7 +257,7 @@ def distributions(study: StudyData, metric: str) -> FigureSpec | None:
     groups = flights.groups
     for k, group in enumerate(groups[: len(STYLES)]):
         of_case = group.flights
-        name = group.name or flights.cases[0]
+        name = group.label or flights.case_labels[0]
         known = np.sort(values[of_case & flights.completed & np.isfinite(values)])
         if known.size < MIN_CASE_FLIGHTS:
             continue

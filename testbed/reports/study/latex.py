@@ -50,19 +50,19 @@ def latex_table(study: StudyData) -> str:
     head += ["Case"] if several and by_point else []
     rows: list[list[str]] = []
     if by_point:
-        head += [each.key for each in parameters]
+        head += [each.label for each in parameters]
         for case, point in places:
             here = (flights.case_index == case) & (flights.point == point)
             one = int(np.flatnonzero(here)[0])
             values = [format_level(each.levels[each.index[one]]) for each in parameters]
             name = f"point/{flights.cases[case]}/{'/'.join(values)}"
             cells = [format_cell(study.estimate(m, here, name)) for m in study.metrics]
-            rows.append([*([flights.cases[case]] if several else []), *values, *cells])
+            rows.append([*([flights.case_labels[case]] if several else []), *values, *cells])
     else:
         for group in flights.groups:
             name = f"all/{group.name or flights.cases[0]}"
             cells = [format_cell(study.estimate(m, group.flights, name)) for m in study.metrics]
-            rows.append([*([group.name] if several else []), *cells])
+            rows.append([*([group.label] if several else []), *cells])
     units = [f"{words} ({unit})" if unit else words for words, unit in map(_words, study.metrics)]
     columns = "l" * len(head) + "r" * len(units)
     note = (
@@ -85,7 +85,12 @@ def _words(metric: str) -> Sequence[str]:
 
 
 def _escaped(text: str) -> str:
-    return "".join(_SPECIAL.get(letter, letter) for letter in _one_line(text))
+    """Write a text for LaTeX, with the mathematics of a label between $ as it is."""
+    parts = re.split(r"(\$[^$]+\$)", _one_line(text))
+    return "".join(
+        part if k % 2 else "".join(_SPECIAL.get(letter, letter) for letter in part)
+        for k, part in enumerate(parts)
+    )
 
 
 def _one_line(text: str) -> str:

@@ -80,9 +80,9 @@ def _panel(
     ends = sorted({each for each, lost in zip(points.outcomes, points.lost, strict=True) if lost})
     how = ends[0].replace("_", " ") if len(ends) == 1 else "not completed"
     return Panel(
-        group.name,
-        x.key,
-        y.key,
+        group.label,
+        x.label,
+        y.label,
         _dots(points, ends),
         x_limits=(float(grid_x[0]), float(grid_x[-1])),
         y_limits=(float(grid_y[0]), float(grid_y[-1])),

@@ -150,7 +150,7 @@ def _head(study: StudyData) -> str:
     if study.missing:
         text = _missing(study)
         out.append(f"<p>{escape(text[0].upper() + text[1:])}.</p>")
-    keys = [f"{each.key} ({len(each.levels)})" for each in flights.parameters]
+    keys = [f"{each.label} ({len(each.levels)})" for each in flights.parameters]
     if keys:
         out.append(f"<p>Varied, {escape(study.design)}: {escape(', '.join(keys))}.</p>")
     cards = []
@@ -163,7 +163,7 @@ def _head(study: StudyData) -> str:
         estimate = study.estimate(metric, group.flights, f"all/{group.name or flights.cases[0]}")
         value = format_number(estimate.value)
         interval = format_cell(estimate).removeprefix(value)
-        case = f"; {group.name}" if group.name else ""
+        case = f"; {group.label}" if group.label else ""
         words, unit = metric_words(metric)
         meaning = f"{words}: {study.statistic}{interval}{case}"
         cards.append((f"{value} {unit}".rstrip(), escape(meaning), ""))

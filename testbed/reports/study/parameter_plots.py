@@ -44,6 +44,7 @@ class CurveGroup:
     flights: BoolArray  # (R,)
     colour: str
     marker: str
+    label: str
     shift: float  # sideways, where levels are not numbers
 
 
@@ -144,12 +145,12 @@ def _facets(study: StudyData, others: Sequence[Parameter]) -> list[Facet]:
         return [Facet("", everything)]
     count = math.prod(len(each.levels) for each in others)
     if study.random or count > MAX_FACETS:
-        names = [each.key for each in others]
+        names = [each.label for each in others]
         return [Facet(f"mean over {', '.join(names)}", everything)]
     facets = []
     for levels in product(*(range(len(each.levels)) for each in others)):
         chosen = list(zip(others, levels, strict=True))
-        names = [f"{each.key} {format_level(each.levels[k])}" for each, k in chosen]
+        names = [f"{each.label} {format_level(each.levels[k])}" for each, k in chosen]
         here = np.logical_and.reduce([each.index == k for each, k in chosen])
         facets.append(Facet("\n".join(names), here))
     return facets
@@ -171,19 +172,24 @@ def _groups(
         spacing = 0.5 / len(groups)
         middle = 0.5 * (len(groups) - 1)
         of_laws = [
-            CurveGroup(each.name, each.flights, *STYLES[k], shift=spacing * (k - middle))
+            CurveGroup(
+                each.name, each.flights, *STYLES[k], each.label, shift=spacing * (k - middle)
+            )
             for k, each in enumerate(groups)
         ]
         by = "cases and laws" if len(flights.by_case) > 1 else "laws"
         return of_laws, by, [each for each in others if each is not flights.law]
     names: Sequence[str] = flights.cases
+    labels: Sequence[str] = flights.case_labels
     index, by = flights.case_index, "cases"
     if len(flights.cases) == 1:
         other = others[0] if len(others) == 1 and not study.random else None
         if other is None or len(other.levels) > len(STYLES):
             everything = np.ones(flights.run.size, dtype=np.bool_)
-            return [CurveGroup("", everything, *STYLES[0], shift=0.0)], "", others
-        names = [f"{other.key} {format_level(level)}" for level in other.levels]
+            return [CurveGroup("", everything, *STYLES[0], "", shift=0.0)], "", others
+        levels = [format_level(level) for level in other.levels]
+        names = [f"{other.key} {level}" for level in levels]
+        labels = [f"{other.label} {level}" for level in levels]
         index, by, others = other.index, "levels of the other parameter", []
     count = min(len(names), len(STYLES))
     spacing = 0.5 / max(count, 2)
@@ -191,7 +197,9 @@ def _groups(
     first = len(groups) if len(groups) > len(flights.by_case) else 0
     styles = STYLES[first:] if first + count <= len(STYLES) else STYLES
     of_names = [
-        CurveGroup(names[k], index == k, *styles[k], shift=spacing * (k - 0.5 * (count - 1)))
+        CurveGroup(
+            names[k], index == k, *styles[k], labels[k], shift=spacing * (k - 0.5 * (count - 1))
+        )
         for k in range(count)
     ]
     return of_names, by, others
@@ -227,14 +235,21 @@ def _curves(
             dashes = DASHES[len(values) % len(DASHES)]
             lines.append(
                 Line(
-                    x, y, group.colour, group.name, 1.6, dashes=dashes, marker=group.marker, marks=0
+                    x,
+                    y,
+                    group.colour,
+                    group.label,
+                    1.6,
+                    dashes=dashes,
+                    marker=group.marker,
+                    marks=0,
                 )
             )
             if np.isfinite(low).any():
                 opacity = 0.25 if len(groups) <= MAX_STRONG_BANDS else 0.12
                 bands.append(Band(x, low, high, group.colour, opacity=opacity))
         else:
-            lines.append(Line(x, y, group.colour, group.name, dots=True, marker=group.marker))
+            lines.append(Line(x, y, group.colour, group.label, dots=True, marker=group.marker))
             lines += [
                 Line(np.full(2, at), np.array(ends), group.colour, width=2.0)
                 for at, *ends in zip(x, low, high, strict=True)
@@ -252,7 +267,7 @@ def _curves(
     limits = (-0.5, len(parameter.levels) - 0.5)
     return Panel(
         facet.title,
-        parameter.key,
+        parameter.label,
         axis_label(metric),
         lines,
         bands,
@@ -279,7 +294,7 @@ def _scatter(
         rows = np.flatnonzero(group.flights & facet.flights & known)
         rows = rows[np.argsort(x[rows], kind="stable")]
         dots = rows[decimate_evenly(rows.size)]
-        lines.append(Line(x[dots], y[dots], group.colour, group.name, dots=True))
+        lines.append(Line(x[dots], y[dots], group.colour, group.label, dots=True))
         if rows.size < MIN_RUNNING:
             continue
         window = max(int(WINDOW * rows.size), MIN_RUNNING // 3)
@@ -292,6 +307,6 @@ def _scatter(
                 label = f"{share:.0%}" if single else ""
                 lines.append(Line(middle[at], values[at], colour, label, 1.8, dashes=dashes))
     return Panel(
-        facet.title, parameter.key, axis_label(metric), lines,
+        facet.title, parameter.label, axis_label(metric), lines,
         x_log=parameter.logarithmic, y_log=needs_log_axis(y[known]), note=EMPTY_NOTE,
     )  # fmt: skip

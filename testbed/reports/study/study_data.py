@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -240,6 +240,13 @@ class StudyFlights:
     settings: Mapping[str, Sequence[Value]]
     metrics: Mapping[str, Array]
     completed: BoolArray
+    case_label: Mapping[str, str] = field(default_factory=dict)  # of cases that have one
+    key_label: Mapping[str, str] = field(default_factory=dict)
+
+    @cached_property
+    def case_labels(self) -> tuple[str, ...]:
+        """What stands for the `cases` in figures and tables."""
+        return tuple(self.case_label.get(each, each) for each in self.cases)
 
     @cached_property
     def cases(self) -> tuple[str, ...]:
@@ -300,7 +307,11 @@ class StudyFlights:
     def parameters(self) -> tuple[Parameter, ...]:
         """Parameters with more than one value."""
         parameters = [make_parameter(key, values) for key, values in self.settings.items()]
-        return tuple(each for each in parameters if len(each.levels) > 1)
+        return tuple(
+            replace(each, label=self.key_label.get(each.key, each.key))
+            for each in parameters
+            if len(each.levels) > 1
+        )
 
     @cached_property
     def law(self) -> Parameter | None:
@@ -311,8 +322,11 @@ class StudyFlights:
     def by_case(self) -> tuple[FlightGroup, ...]:
         """Flights of each case; all in one group without a name if there is one case, or many."""
         if not 1 < len(self.cases) <= MAX_GROUPS:
-            return (FlightGroup("", np.ones(len(self.run), dtype=np.bool_)),)
-        return tuple(FlightGroup(c, self.case_index == k) for k, c in enumerate(self.cases))
+            return (FlightGroup("", np.ones(len(self.run), dtype=np.bool_), ""),)
+        return tuple(
+            FlightGroup(name, self.case_index == k, label)
+            for k, (name, label) in enumerate(zip(self.cases, self.case_labels, strict=True))
+        )
 
     @cached_property
     def groups(self) -> tuple[FlightGroup, ...]:
@@ -324,6 +338,7 @@ class StudyFlights:
             FlightGroup(
                 ", ".join(filter(None, (case.name, format_level(level)))),
                 case.flights & (law.index == k),
+                ", ".join(filter(None, (case.label, format_level(level)))),
             )
             for case in self.by_case
             for k, level in enumerate(law.levels)
@@ -342,6 +357,7 @@ class FlightGroup:
 
     name: str
     flights: BoolArray
+    label: str  # in figures and tables
 
 
 @dataclass(frozen=True)
@@ -352,6 +368,7 @@ class Parameter:
     levels: tuple[Value, ...]  # numbers in order, other values by first flight
     index: NDArray[np.int64]  # (R,) into levels
     numeric: bool
+    label: str  # in figures and tables
 
     @property
     def continuous(self) -> bool:
@@ -381,7 +398,9 @@ def make_parameter(key: str, values: Sequence[Value]) -> Parameter:
     known: list[Any] = list(dict.fromkeys(values))
     levels = tuple(sorted(known)) if numeric else tuple(known)
     index = {level: k for k, level in enumerate(levels)}
-    return Parameter(key, levels, np.array([index[v] for v in values], dtype=np.int64), numeric)
+    return Parameter(
+        key, levels, np.array([index[v] for v in values], dtype=np.int64), numeric, key
+    )
 
 
 @dataclass(frozen=True)

@@ -81,7 +81,7 @@ def overview(study: StudyData) -> ReportTable:
             least, largest = (
                 (float(known.min()), float(known.max())) if known.size else (math.nan, math.nan)
             )
-            head: tuple[Cell, ...] = (metric, *([group.name] if titles else []), known.size)
+            head: tuple[Cell, ...] = (metric, *([group.label] if titles else []), known.size)
             if study.is_map:
                 out.append((*head, least, largest))
             else:
@@ -105,7 +105,9 @@ def boundary(study: StudyData) -> ReportTable | None:
     if axes is None or not study.metrics:
         return None
     metric, titles = study.metrics[0], [flights.groups_title] if flights.groups_title else []
-    found = {group.name: map_points(study, metric, axes, group.flights) for group in flights.groups}
+    found = {
+        group.label: map_points(study, metric, axes, group.flights) for group in flights.groups
+    }
     across = [(name, *each) for name, of in found.items() for each in _crossings(of.x, of.y, of)]
     up = [(name, *each) for name, of in found.items() for each in _crossings(of.y, of.x, of)]
     # along the first axis, if at least as many levels of the other one have a boundary
@@ -114,10 +116,16 @@ def boundary(study: StudyData) -> ReportTable | None:
     if not rows:
         return None
     note = (
-        f"Neighbouring points along {along.key} of which one is completed, and of the other at"
+        f"Neighbouring points along {along.label} of which one is completed, and of the other at"
         " least half of the flights are not."
     )
-    columns = (*titles, other.key, f"completed at {along.key}", "not completed at", "most ended")
+    columns = (
+        *titles,
+        other.label,
+        f"completed at {along.label}",
+        "not completed at",
+        "most ended",
+    )
     out = [row if titles else row[1:] for row in rows]
     return ReportTable("boundary", "Boundary of completed flights", columns, out, note)
 
@@ -157,9 +165,9 @@ def points(study: StudyData) -> Iterator[ReportTable]:
             name = f"point/{flights.cases[case]}/{'/'.join(values)}"
             estimate = study.estimate(metric, here, name)
             incomplete = int((here & ~flights.completed).sum())
-            case_cell = [flights.cases[case]] if case_column else []
+            case_cell = [flights.case_labels[case]] if case_column else []
             out.append((*case_cell, *values, int(here.sum()), incomplete, estimate))
-        names = (*(["case"] if case_column else []), *(each.key for each in flights.parameters))
+        names = (*(["case"] if case_column else []), *(each.label for each in flights.parameters))
         columns = (*names, "flights", "lost or failed", f"{study.statistic} [{PERCENT} %]")
         yield ReportTable(f"points-{metric}", f"{metric} at every point", columns, out)
 
@@ -175,13 +183,14 @@ def cases(study: StudyData) -> ReportTable | None:
     for metric in study.metrics:
         for k, case in enumerate(flights.cases):
             centre = study.estimate(metric, flights.case_index == k, f"all/{case}")
+            label = flights.case_labels[k]
             if not k:
-                out.append((metric, case, centre, "", "", centre.count))
+                out.append((metric, label, centre, "", "", centre.count))
                 continue
             change = study.change(metric, k)
             verdict = describe_change(metric, change, rounding_of(change.before, change.after))
-            out.append((metric, case, centre, estimate_of(change), verdict, change.units))
-    first, unit = flights.cases[0], study.unit_name
+            out.append((metric, label, centre, estimate_of(change), verdict, change.units))
+    first, unit = flights.case_labels[0], study.unit_name
     note = (
         f"Difference: the mean over {unit} of a case minus {first}, paired by point and seed where"
         f" both flights were completed, with Student's {PERCENT} % interval. It is not corrected"
@@ -298,8 +307,10 @@ def effects(study: StudyData) -> ReportTable | None:
         for each in flights.parameters:
             # the law's own effect is among all flights of a case
             for group in flights.by_case if each is flights.law else flights.groups:
-                name = [group.name or "all"] if titles else []
-                out.append((metric, *name, each.key, *_effect(study, metric, each, group.flights)))
+                name = [group.label or "all"] if titles else []
+                out.append(
+                    (metric, *name, each.label, *_effect(study, metric, each, group.flights))
+                )
     note = (
         f"Smallest and largest {study.statistic} among the levels of the parameter, over all other"
         f" parameters; of a parameter with more than {MAX_LEVELS} numbers, among {GROUPS} groups of"
@@ -358,9 +369,11 @@ def losses(study: StudyData) -> ReportTable:
         ("all", "", np.ones(flights.run.size, dtype=np.bool_))
     ]
     if len(flights.cases) > 1:
-        groups += [("case", name, flights.case_index == k) for k, name in enumerate(flights.cases)]
+        groups += [
+            ("case", name, flights.case_index == k) for k, name in enumerate(flights.case_labels)
+        ]
     for each in flights.parameters:
-        groups += [(each.key, level, here) for level, here in level_groups(each)]
+        groups += [(each.label, level, here) for level, here in level_groups(each)]
     out: list[tuple[Cell, ...]] = []
     ends = set()
     for i, (group, level, here) in enumerate(groups):

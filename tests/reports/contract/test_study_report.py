@@ -238,6 +238,35 @@ def test_latex_table_has_cases_points_and_metrics(made):
     assert r"A b\%\&\#" in latex_table(odd)
 
 
+def test_labels_stand_for_cases_and_keys(made):
+    """In figures, tables and LaTeX; the numbers are those without labels."""
+    plain, _ = made
+    labels = {"calm": "still air", "gusty": "$w_{20}$ = 8 m/s"}
+    flights = replace(plain.flights, case_label=labels, key_label={"network.loss": "loss"})
+    study = replace(plain, flights=flights)
+    assert [row[1].replace("still air", "calm") for row in tables.cases(study).rows][0] == "calm"
+    for one, other in zip(tables.cases(plain).rows, tables.cases(study).rows, strict=True):
+        assert one[2:] == other[2:]
+    page = render_page(study_page(study))
+    assert "network.loss" not in page and "still air" in page and ">calm<" not in page
+    assert "late" in page  # has no label
+    drawing = parameters(study, METRIC)
+    assert drawing.rows[0][0].x_label == "loss"
+    assert {line.label.partition(",")[0] for line in drawing.rows[0][0].lines} >= {*labels.values()}
+    assert [text for _, text in figures.cases(study, METRIC).rows[0][0].y_ticks][0] != "calm"
+    law = two_laws("case")
+    labels = {"chase": "chase & hold, $k_1 = 2$"}
+    table = latex_table(replace(law, flights=replace(law.flights, case_label=labels)))
+    assert r"chase \& hold, $k_1 = 2$ & 0 & 0" in table
+
+
+def test_label_of_wrong_mathematics_is_drawn_as_it_stands(made):
+    study, _ = made
+    study = replace(study, flights=replace(study.flights, case_label={"calm": r"$\wrong$"}))
+    figure = next(figures.study_figures(study))
+    assert r"$\wrong$" in figure_svg(figure.grid)
+
+
 def test_missing_metric_is_said_and_others_are_drawn(tmp_path):
     """A study of an earlier version may name one; a wrong --metric is an error."""
     page = PAGE.replace("mean_rms_m]", "mean_rms_m, max_error_m, min_separation_m]")

@@ -203,6 +203,20 @@ def test_design_new_key_changes_no_other_values(tmp_path, design):
             "cases.x.a.b: is also in vary",
         ),
         (
+            HEAD + '}\ncases:\n  x: {label: ""}',
+            "s.yaml:3:14: cases.x.label: must be a text of one line",
+        ),
+        (HEAD + "}\ncases: {x: {label: 3}}", "cases.x.label: must be a text of one line"),
+        (
+            HEAD + "}\ncases: {x: {label: law y}, y: {label: law y}}",
+            "cases.x.label: is also what stands for y",
+        ),
+        (
+            HEAD + "design: factorial}\nvary: {a.b: {choice: [1], label: c.d}, c.d: [2]}",
+            "vary.a.b.label: is also what stands for c.d",
+        ),
+        (HEAD + f"}}\ncases: {{x: {{label: {'x' * 81}}}}}", "has 81 letters (write at most 80)"),
+        (
             HEAD + "design: factorial, seeds: 1000}\nvary: {a.b: {from: 0, to: 9999, step: 1}}",
             "has 10,000,000 runs",
         ),

@@ -93,7 +93,7 @@ def test_labels_replace_texts_and_names_in_one_pass():
     ((one,),) = named.rows
     assert named.title == "uav2 flies" and one.y_label == "Fehler in m"
     assert [each.label for each in one.lines] == ["uav2", "uav2 > $u_2$"]
-    assert one.spans[0].name == "Runden" and one.x_ticks == ()
+    assert one.spans[0].name == "Runden" and not one.x_ticks
     ticks = style.lay_out(replace(grid, rows=[[panel(x_ticks=[(0.5, "uav1")])]])).rows[0][0]
     assert [*map(tuple, ticks.x_ticks)] == [(0.5, "uav2")]
 
