@@ -34,6 +34,7 @@ class Format(StrEnum):
     CSV = "csv"
     PARQUET = "parquet"
     NPZ = "npz"
+    MAT = "mat"
     FOXGLOVE = "foxglove"
     FOXGLOVE_LAYOUT = "foxglove-layout"
     PLOTJUGGLER = "plotjuggler"
@@ -44,6 +45,7 @@ SUFFIXES = {
     Format.CSV: ".csv",
     Format.PARQUET: ".parquet",
     Format.NPZ: ".npz",
+    Format.MAT: ".mat",
     Format.FOXGLOVE: ".foxglove.mcap",
     Format.FOXGLOVE_LAYOUT: ".foxglove.json",
     Format.PLOTJUGGLER: ".plotjuggler.xml",
@@ -64,7 +66,8 @@ def export_command(
         Format,
         value_option(
             "FORMAT",
-            "csv, parquet: a table with a row per sample and aircraft. npz: NumPy arrays. "
+            "csv, parquet: a table with a row per sample and aircraft. npz, mat: arrays of NumPy, "
+            "of MATLAB. "
             "foxglove: the log with a 3D scene. foxglove-layout, plotjuggler: a layout for this "
             "program, which opens the log itself. ros2: a folder that `ros2 bag` reads.",
             "--format",
@@ -168,6 +171,10 @@ def _writer(
 
         write_arrays = write_csv if form is Format.CSV else write_npz
         return lambda file: write_arrays(flight, file)
+    if form is Format.MAT:
+        from testbed.logs.matlab_file import write_mat
+
+        return lambda file: write_mat(flight, file)
     if form is Format.PARQUET:
         from testbed.logs.arrow_io import write_parquet
 

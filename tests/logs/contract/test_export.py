@@ -15,6 +15,7 @@ from commands import call_command
 from places import ROOT
 from pyarrow import parquet
 from record_flight import RECORDS, decoded, event, record, run_info, run_samples
+from scipy.io import loadmat
 
 import testbed
 from testbed.core.records import VehicleState, join_names
@@ -22,6 +23,7 @@ from testbed.law import LimiterFlag, Saturation
 from testbed.logs import arrow_io, flight_data
 from testbed.logs.file_record import RECORD_NAME
 from testbed.logs.flight_data import write_npz
+from testbed.logs.matlab_file import write_mat
 from testbed.logs.mcap_file import LogError
 from testbed.logs.messages import QUANTITIES, TOPICS, UNITS
 
@@ -129,6 +131,25 @@ def test_npz_has_arrays_and_documents(flight):
         np.testing.assert_array_equal(arrays[name], flight[name])
     assert str(arrays["scenario.resolved.yaml"]) == flight.info.scenario_yaml
     assert json.loads(str(arrays["run.json"]))["seed"] == "7"
+
+
+def test_mat_has_arrays_under_names_of_matlab(flight):
+    """No dots, a letter first, at most 63 letters; the same bytes each time."""
+    files = [io.BytesIO(), io.BytesIO()]
+    for file in files:
+        write_mat(flight, file)
+    assert files[0].getvalue() == files[1].getvalue()
+    variables = loadmat(files[0], squeeze_me=False)
+    names = {name for name in variables if not name.startswith("__")}
+    assert all(re.fullmatch("[A-Za-z][A-Za-z0-9_]{0,62}", name) for name in names)
+    assert len(names) == len(flight.keys()) + 6
+    for name in flight.keys():
+        np.testing.assert_array_equal(variables[name], flight[name])
+    assert variables["time_s"].shape == (flight.time_s.size, 1)
+    np.testing.assert_array_equal(variables["time_s"][:, 0], flight.time_s)
+    assert [str(each[0]) for each in variables["aircraft"][:, 0]] == list(flight.names)
+    assert str(variables["scenario_resolved_yaml"][0]) == flight.info.scenario_yaml
+    assert json.loads(str(variables["run_json"][0]))["seed"] == "7"
 
 
 def test_parquet_has_documents_and_units(flight, table):
@@ -285,6 +306,7 @@ def test_export_command_writes_every_format(tmp_path, path):
         "csv": "run.csv",
         "parquet": "run.parquet",
         "npz": "run.npz",
+        "mat": "run.mat",
         "foxglove": "run.foxglove.mcap",
         "foxglove-layout": "run.foxglove.json",
         "plotjuggler": "run.plotjuggler.xml",

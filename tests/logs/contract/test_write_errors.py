@@ -30,6 +30,7 @@ MOST_BYTES = 400_000
 OUTPUTS = {
     "run.csv": ("export", "run", "--format", "csv"),
     "run.npz": ("export", "run", "--format", "npz"),
+    "run.mat": ("export", "run", "--format", "mat"),
     "run.parquet": ("export", "run", "--format", "parquet"),
     "run.foxglove.mcap": ("export", "run", "--format", "foxglove"),
     "run.plotjuggler.xml": ("export", "run", "--format", "plotjuggler"),
