@@ -16,7 +16,7 @@ from testbed.cli.output import (
     result_console,
 )
 from testbed.core.errors import InputError
-from testbed.core.files import report_write_errors
+from testbed.core.files import report_write_errors, write_text_file
 
 if TYPE_CHECKING:
     from testbed.reports.figure_spec import Figure
@@ -56,6 +56,14 @@ def report_command(
     ] = None,
     figures: Figures = None,
     format: FigureFormat = None,
+    latex: Annotated[
+        Path | None,
+        output_option(
+            metavar="FILE.tex",
+            help="Also write the errors over the windows, beside published ones, as a LaTeX table.",
+            suffixes=(".tex",),
+        ),
+    ] = None,
     look: FigureLook = DEFAULT_LOOK,
 ) -> None:
     """Write a report of a run: figures, tables and everything needed to repeat the run.
@@ -63,6 +71,7 @@ def report_command(
     The report is one HTML file that needs only a browser, and can be printed.
     """
     from testbed.reports import read_run, run_figures, run_page
+    from testbed.reports.latex import run_latex
 
     ending = figure_format(format, figures)
     if begin is not None and end is not None and begin >= end:
@@ -71,10 +80,13 @@ def report_command(
     report = default_report(data.path) if out is None else out
     drawn = list(run_figures(data)) if figures else []
     check_figures(drawn, figures, ending, look)
+    table = run_latex(data) if latex else ""
     console = result_console()
     write_report(run_page(data), report, console, default=out is None)
     if figures:
         write_figures(drawn, figures, ending, console, look)
+    if latex:
+        write_latex(table, latex, console)
 
 
 def default_report(path: Path) -> Path:
@@ -147,6 +159,17 @@ def write_figures(
         files = save_figures(figures, folder, ending, style)
     record_folder_output(folder, [each.name for each in files])
     console.write_line(f" figures  {len(files)} in {folder}, {format_size(*files)}")
+
+
+def write_latex(table: str, path: Path, console: PipeSafeConsole) -> None:
+    """Write the table of --latex, and print its file and size.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    with report_write_errors(f"--latex {path}"), write_text_file(path) as file:
+        file.write(table)
+    console.write_line(f" LaTeX    {describe_file(path)}")
 
 
 def figure_format(name: str | None, figures: Path | None) -> str:

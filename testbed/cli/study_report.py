@@ -15,7 +15,6 @@ from testbed.cli.figure_options import DEFAULT_LOOK, FigureLook, draws_figures
 from testbed.cli.options import JsonFile, output_option, value_option
 from testbed.cli.output import (
     check_output_folder,
-    describe_file,
     result_console,
     write_json_output,
 )
@@ -27,10 +26,11 @@ from testbed.cli.report import (
     default_report,
     figure_format,
     write_figures,
+    write_latex,
     write_report,
 )
 from testbed.core.errors import InputError
-from testbed.core.files import report_write_errors, write_text_file
+from testbed.core.files import report_write_errors
 
 if TYPE_CHECKING:
     from testbed.reports.study import StudyData, StudyFlights
@@ -119,9 +119,7 @@ def study_report_command(
     if figures:
         write_figures(drawn, figures, ending, console, look)
     if latex:
-        with report_write_errors(f"--latex {latex}"), write_text_file(latex) as file:
-            file.write(table)
-        console.write_line(f" LaTeX    {describe_file(latex)}")
+        write_latex(table, latex, console)
     if tables:
         with report_write_errors(f"--tables {tables}"):
             files = write_tables(listed, tables)

@@ -44,6 +44,7 @@ OUTCOME_STYLES = {"completed": "bold green"} | dict.fromkeys(
     ("lost", *EXCEEDED, "failed"), "bold red"
 )
 EVENT_STYLES = {"error": "red", "warning": "yellow"}
+_PUBLISHED = ("rms_m", "mean_rms_m", "percent_error")  # numbers of a window
 
 
 def render_table(
@@ -233,14 +234,20 @@ def compared_windows(metrics: Metrics) -> list[str]:
     return [name for name in _published_windows(metrics) if found[name]["complete"]]
 
 
+def published_numbers(metrics: Metrics, window: str) -> dict[str, Any]:
+    """Return the published numbers of a window by the key of `metrics.json`; {}: not comparable."""
+    published: Mapping[str, Any] = metrics["published"] or {}
+    if window not in compared_windows(metrics):
+        return {}
+    if _lost_within(metrics, window, *metrics["max_error_m"]):
+        return {}
+    known = {key: (published.get(key) or {}).get(window) for key in _PUBLISHED}
+    return {key: value for key, value in known.items() if value is not None}
+
+
 def published_mean(metrics: Metrics, window: str) -> float | None:
     """Return the published mean RMS error of a window, m, if comparable."""
-    if window not in compared_windows(metrics):
-        return None
-    if _lost_within(metrics, window, *metrics["max_error_m"]):
-        return None
-    published = metrics["published"]
-    mean = published.get("mean_rms_m", {}).get(window) if published else None
+    mean = published_numbers(metrics, window).get("mean_rms_m")
     return None if mean is None else float(mean)
 
 
@@ -359,7 +366,7 @@ def _print_events(events: Sequence[LoggedEvent], console: Console) -> None:
 
 def _published_windows(metrics: Metrics) -> list[str]:
     published: Mapping[str, Any] = metrics["published"] or {}
-    known = [published.get(key) or {} for key in ("rms_m", "mean_rms_m", "percent_error")]
+    known = [published.get(key) or {} for key in _PUBLISHED]
     return [name for name in metrics["windows"] if any(name in each for each in known)]
 
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 
 import numpy as np
 
 from testbed.core.errors import InputError
+from testbed.reports.latex import tabular
 from testbed.reports.study.report_table import format_cell
 from testbed.reports.study.study_data import (
     PERCENT,
@@ -16,14 +16,6 @@ from testbed.reports.study.study_data import (
     metric_words,
 )
 from testbed.reports.study.tables import MAX_POINTS
-
-_SPECIAL = {each: f"\\{each}" for each in "&%$#_{}"} | {
-    "\\": r"\textbackslash{}",
-    "~": r"\textasciitilde{}",
-    "^": r"\textasciicircum{}",
-    "–": "--",
-    "²": r"\textsuperscript{2}",
-}
 
 
 def latex_table(study: StudyData) -> str:
@@ -66,32 +58,12 @@ def latex_table(study: StudyData) -> str:
     units = [f"{words} ({unit})" if unit else words for words, unit in map(_words, study.metrics)]
     columns = "l" * len(head) + "r" * len(units)
     note = (
-        f"% {study.name}: {study.statistic} over {study.unit_name} [{PERCENT} % interval], "
+        f"{study.name}: {study.statistic} over {study.unit_name} [{PERCENT} % interval], "
         f"{int(flights.completed.sum())} of {study.planned} flights"
     )
-    lines = [" & ".join(map(_escaped, row)) + r" \\" for row in ([*head, *units], *rows)]
-    body = [lines[0], r"\hline", *lines[1:]]
-    return "\n".join(
-        (_one_line(note), rf"\begin{{tabular}}{{{columns}}}", r"\hline", *body, r"\hline", _END)
-    )
-
-
-_END = "\\end{tabular}\n"
+    return tabular(note, columns, [*head, *units], [rows])
 
 
 def _words(metric: str) -> Sequence[str]:
     words, unit = metric_words(metric)
     return words[0].upper() + words[1:], unit
-
-
-def _escaped(text: str) -> str:
-    """Write a text for LaTeX, with the mathematics of a label between $ as it is."""
-    parts = re.split(r"(\$[^$]+\$)", _one_line(text))
-    return "".join(
-        part if k % 2 else "".join(_SPECIAL.get(letter, letter) for letter in part)
-        for k, part in enumerate(parts)
-    )
-
-
-def _one_line(text: str) -> str:
-    return re.sub(r"\s+", " ", text)

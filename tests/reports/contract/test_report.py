@@ -29,6 +29,7 @@ from testbed.logs.read import read_log
 from testbed.reports import figures, read_run, run_figures, run_page, save_figures, write_page
 from testbed.reports.figures_control_network_wind import AGE_INTERVALS, interval_statistics
 from testbed.reports.html import render_page
+from testbed.reports.latex import run_latex
 from testbed.reports.page import head_html
 from testbed.reports.plot_selection import (
     BUCKETS,
@@ -191,6 +192,27 @@ def test_command_writes_report_and_figures(flown, tmp_path, only, ending, start)
     run = read_run(flown)
     again = save_figures(run_figures(run), tmp_path / "again", ending)
     assert [path.read_bytes() for path in again] == [files[path.name] for path in again]
+
+
+def test_latex_has_errors_beside_published_ones(flown, tmp_path, only):
+    """A window cut short, and one whose numbers are of another set-up, have none."""
+    only("altitude")
+    words = ("report", flown, "--out", "it.html", "--latex", "t.tex")
+    done = call_command(*words, cwd=tmp_path, code=0, columns=200)
+    table = (tmp_path / "t.tex").read_text("utf-8")
+    assert "LaTeX    t.tex" in done.stdout
+    run = read_run(flown)
+    assert table == run_latex(run) and r"\begin{tabular}{llrrrrr}" in table
+    window, numbers = next(iter(run.metrics["windows"].items()))
+    cells = [window, "simulated", *(f"{each:.2f}" for each in numbers["rms_m"].values())]
+    assert f"{' & '.join(cells)} & {numbers['mean_rms_m']:.2f}" in table
+    published = {"source": "a paper", "rms_m": {window: [1.25, 2.0, 3.0]}, "mean_rms_m": {}}
+    complete = {window: numbers | {"complete": True}}
+    metrics = {**run.metrics, "published": published, "windows": complete}
+    beside = run_latex(replace(run, metrics=metrics))
+    assert " & published & 1.25 & 2 & 3 & -- & -- " in beside and "published: a paper" in beside
+    with pytest.raises(InputError, match="has no windows"):
+        run_latex(replace(run, metrics={**run.metrics, "windows": {}}))
 
 
 def test_command_bad_input_is_an_error(tmp_path):

@@ -255,9 +255,9 @@ def test_labels_stand_for_cases_and_keys(made):
     assert {line.label.partition(",")[0] for line in drawing.rows[0][0].lines} >= {*labels.values()}
     assert [text for _, text in figures.cases(study, METRIC).rows[0][0].y_ticks][0] != "calm"
     law = two_laws("case")
-    labels = {"chase": "chase & hold, $k_1 = 2$"}
+    labels = {"chase": "[1] chase & hold, $k_1 = 2$"}
     table = latex_table(replace(law, flights=replace(law.flights, case_label=labels)))
-    assert r"chase \& hold, $k_1 = 2$ & 0 & 0" in table
+    assert r"{[}1] chase \& hold, $k_1 = 2$ & 0 & 0" in table
 
 
 def test_label_of_wrong_mathematics_is_drawn_as_it_stands(made):
