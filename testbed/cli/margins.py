@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from testbed.linear.flown_margins import Margins
     from testbed.linear.predicted_margins import Prediction
     from testbed.scenario import Scenario
+    from testbed.views.panels import PanelGrid
 
 
 class Method(StrEnum):
@@ -46,8 +47,28 @@ class Method(StrEnum):
     BOTH = "both"
 
 
+class FigureKind(StrEnum):
+    """What a figure shows."""
+
+    POLES = "poles"
+    BODE = "bode"
+    NYQUIST = "nyquist"
+    ROOT_LOCUS = "root-locus"
+
+
+class CommandName(StrEnum):
+    """A command of a follower."""
+
+    ROLL = "roll"
+    PITCH = "pitch"
+    THROTTLE = "throttle"
+
+
 DEFAULT_BANKS_DEG = (0.0, 30.0, 45.0)
 COMMAND = "\ncommand"  # column
+LOWEST_HZ = 0.01  # of loops that are drawn
+FACTORS = 0.02, 10.0, 120  # of a root locus: lowest above 0, highest, number
+NOTHING_STEADY = "--plot: no bank has poles to draw, because none is steady"
 
 
 @draws_figures("plot")
@@ -84,7 +105,18 @@ def margins_command(
     jobs: Jobs = None,
     json: JsonFile = None,
     plot: Annotated[
-        Path | None, figure_option("Draw the poles at each bank: .png, .pdf or .svg.")
+        Path | None, figure_option("Draw a figure, with a panel for each bank: .png, .pdf or .svg.")
+    ] = None,
+    figure: Annotated[
+        FigureKind,
+        typer.Option(
+            help="The figure of --plot: poles; or of the loop opened at a command, in turns "
+            "clockwise, its Bode or Nyquist diagram, or its poles over a factor of 0 to 10."
+        ),
+    ] = FigureKind.POLES,
+    command: Annotated[
+        CommandName | None,
+        typer.Option(help="The command at which that loop is opened.  \\[default: roll]"),
     ] = None,
     look: FigureLook = DEFAULT_LOOK,
 ) -> None:
@@ -110,6 +142,10 @@ def margins_command(
     from testbed.linear.steady_flight import suitable_banks
     from testbed.pool.flight_pool import open_flight_pool
 
+    if figure is not FigureKind.POLES and not plot:
+        raise InputError(f"--figure {figure}: is of --plot FILE (write a file, too)")
+    if command is not None and figure is FigureKind.POLES:
+        raise InputError(f"--command {command}: is of loops (write --figure bode, too)")
     if plot and method is Method.FLOWN:
         raise InputError("--plot: nothing is predicted to draw (write --method both)")
     loaded = load_scenario(scenario, overrides)
@@ -151,8 +187,13 @@ def margins_command(
         for text, style in ((one.problem, "yellow"), (one.note, "")):
             if text:
                 console.write_line(f" at {one.bank_deg:g}°: {text}", style)
-    if plot:
+    if plot and figure is FigureKind.POLES:
         _draw(loaded, predicted, plot, look)
+    elif plot:
+        steady = [each.bank_deg for each in predicted if each.followers]
+        with error_places(scenario, overrides):
+            grid = _loop_figure(loaded, steady, climb, figure, command or CommandName.ROLL)
+        look.save(grid, plot)
 
 
 def _draw(
@@ -165,16 +206,71 @@ def _draw(
 
     banks = [
         PolesAtBank(
-            f"{at.bank_deg:g}° of bank" if at.bank_deg else "straight",
+            _title(at.bank_deg),
             {each.name: np.array([mode.pole for mode in each.modes]) for each in at.followers},
         )
         for at in predicted
         if at.followers
     ]
     if not banks:
-        raise InputError("--plot: no bank has poles to draw, because none is steady")
+        raise InputError(NOTHING_STEADY)
     subtitle = f"poles of the linearised formation, profile {scenario.controller.profile}"
     look.save(poles_figure(scenario.name, subtitle, banks), file)
+
+
+def _title(bank_deg: float) -> str:
+    return f"{bank_deg:g}° of bank" if bank_deg else "straight"
+
+
+def _loop_figure(
+    scenario: Scenario, banks: Sequence[float], climb: float, kind: FigureKind, command: CommandName
+) -> PanelGrid:
+    """Draw the loops of a command at banks, of up to `MAX_LOOPS` followers, evenly selected.
+
+    Raises:
+        InputError: there is no bank.
+    """
+    import numpy as np
+
+    from testbed.linear.linearise import linearise
+    from testbed.linear.loop_margins import FREQUENCIES
+    from testbed.views.loop_figures import (
+        MAX_LOOPS,
+        LoopCurves,
+        LoopsAtBank,
+        bode_figure,
+        nyquist_figure,
+        root_locus_figure,
+    )
+
+    if not banks:
+        raise InputError(NOTHING_STEADY)
+    followers = scenario.aircraft_names[1:]
+    count = min(len(followers), MAX_LOOPS)
+    rows = np.unique(np.linspace(0, len(followers) - 1, count).round().astype(int)).tolist()
+    # 0 and 1 are marked
+    factors = np.unique(np.concatenate(([0.0, 1.0], np.geomspace(*FACTORS))))
+    factors = factors if kind is FigureKind.ROOT_LOCUS else factors[:0]
+    drawn = []
+    for bank in banks:
+        system, loops = linearise(scenario, bank_deg=bank, climb_mps=climb), []
+        for row in rows:
+            loop = system.loop(f"{followers[row]}.{command}")
+            hz = FREQUENCIES * (0.5 / loop.dt)
+            hz = hz[hz >= LOWEST_HZ]
+            response = loop.frequency_response(hz)[:, 0, 0]
+            poles = loop.poles_with_factors(factors)
+            loops.append(LoopCurves(followers[row], hz, response, factors, poles))
+        drawn.append(LoopsAtBank(_title(bank), loops))
+    draw = {
+        FigureKind.BODE: bode_figure,
+        FigureKind.NYQUIST: nyquist_figure,
+        FigureKind.ROOT_LOCUS: root_locus_figure,
+    }[kind]
+    words = (
+        "poles over a factor of the" if kind is FigureKind.ROOT_LOCUS else "loop L opened at the"
+    )
+    return draw(scenario.name, f"{words} {command} command", drawn)
 
 
 def _predicted_table(found: Sequence[Prediction]) -> Table:

@@ -13,7 +13,14 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg import block_diag, eig, schur
+from scipy.linalg import (
+    block_diag,
+    eig,
+    schur,
+    solve_discrete_lyapunov,
+    solve_sylvester,
+    svd,
+)
 from scipy.signal import dlti
 from scipy.sparse.csgraph import connected_components
 
@@ -25,6 +32,9 @@ _NEGLIGIBLE = 1e-9  # elements of matrices
 _VANISHED = 1e-6  # eigenvalues of what a period forgets
 # 1/s; slower poles are those of the position on the round Earth
 SLOWEST = 1e-3
+_FROZEN = 1e-7  # largest distance of an eigenvalue that does not move from 1
+# where that is looked for, as a share of half the control rate
+_LOOK_HZ = np.geomspace(1e-3, 1.0, 200)
 _NEAR = 3  # names in the error of an unknown one
 
 
@@ -383,15 +393,99 @@ class LinearSystem:
         Raises:
             InputError: there are several inputs or outputs.
         """
-        if not len(self.inputs) == len(self.outputs) == 1:
-            raise InputError(
-                f"margins: {len(self.inputs)} inputs and {len(self.outputs)} outputs are no loop "
-                "(open one, as system.loop('uav1.roll').margins())"
-            )
+        self._check_loop("margins")
         feedback = -self.c / (1.0 + self.d)
         closed = replace(self, a=self.a + self.b @ feedback)
         loop = self.frequency_response(FREQUENCIES * (0.5 / self.dt))[:, 0, 0]
         return margins_of(loop, self.dt, stable=closed.is_stable())
+
+    def reduced(self, tolerance: float = 1e-6) -> LinearSystem:
+        """Return a small system with the same responses, for simulation.
+
+        Modes that are frozen, such as those of the position on the round Earth, are taken off by an
+        ordered Schur form; the rest is balanced and truncated. Open loops of what is reduced: the
+        closed one is stable, an open one need not be.
+
+        Args:
+            tolerance: smallest Hankel singular value that is kept, as a part of the largest. The
+                error of a response is at most twice the sum of those left out.
+
+        Raises:
+            InputError: the tolerance is not between 0 and 1, or an output does not come to rest.
+
+        Source: Laub, Heath, Paige, Ward, Computation of system balancing transformations (1987).
+        """
+        if not 0.0 < tolerance < 1.0:
+            raise InputError(f"tolerance: is {tolerance} (write a number between 0 and 1)")
+        moving, frozen = self._split(1.0 - _FROZEN)
+        seen = frozen.frequency_response(_LOOK_HZ * (0.5 / self.dt))
+        whole = np.abs(moving.frequency_response(_LOOK_HZ * (0.5 / self.dt))).max(initial=0.0)
+        if np.abs(seen).max(initial=0.0) > tolerance * whole:
+            k, i = np.unravel_index(np.abs(seen).max(axis=0).argmax(), self.d.shape)
+            raise InputError(
+                f"reduced: {self.outputs[k]} does not come to rest after {self.inputs[i]} (select "
+                "other inputs and outputs first)"
+            )
+        to_state = _root(solve_discrete_lyapunov(moving.a, moving.b @ moving.b.T))
+        to_output = _root(solve_discrete_lyapunov(moving.a.T, moving.c.T @ moving.c))
+        left, hankel, right = svd(to_output.T @ to_state)
+        kept = int(np.count_nonzero(hankel > tolerance * hankel.max(initial=0.0)))
+        scale = np.sqrt(hankel[:kept])
+        into = (to_output @ left[:, :kept] / scale).T
+        back = to_state @ right[:kept].T / scale
+        return replace(
+            moving,
+            a=into @ moving.a @ back,
+            b=into @ moving.b,
+            c=moving.c @ back,
+            states=tuple(f"reduced.{k + 1}" for k in range(kept)),
+        )
+
+    def _split(self, largest: float) -> tuple[LinearSystem, LinearSystem]:
+        """Return the parts with eigenvalues below a magnitude, and with the others; with no d."""
+        triangle, unitary, count = schur(
+            self.a, output="real", sort=lambda re, im: math.hypot(re, im) < largest
+        )
+        one, other = triangle[:count, :count], triangle[count:, count:]
+        b, c = unitary.T @ self.b, self.c @ unitary
+        if 0 < count < len(self.a):  # and not only triangular, but apart
+            apart = solve_sylvester(one, -other, -triangle[:count, count:])
+            b[:count] -= apart @ b[count:]
+            c[:, count:] += c[:, :count] @ apart
+        names = tuple(f"reduced.{k + 1}" for k in range(len(self.a)))
+        first = replace(self, a=one, b=b[:count], c=c[:, :count], states=names[:count])
+        nothing = np.zeros_like(self.d)
+        return first, replace(
+            self, a=other, b=b[count:], c=c[:, count:], d=nothing, states=names[count:]
+        )
+
+    def poles_with_factors(self, factors: Array) -> Array:
+        """Return the poles of a closed loop over factors of its command, as a root locus has them.
+
+        Args:
+            factors: (F,) that multiply the command; 0 opens the loop.
+
+        Returns:
+            (F, n) complex, 1/s.
+
+        Raises:
+            InputError: there are several inputs or outputs.
+        """
+        self._check_loop("poles_with_factors")
+        found = []
+        for factor in np.asarray(factors, dtype=float).tolist():
+            feedback = -factor * self.c / (1.0 + factor * self.d)
+            values = np.linalg.eigvals(self.a + self.b @ feedback).astype(complex)
+            values[np.abs(values) < _VANISHED] = _VANISHED  # what a period forgets
+            found.append(np.log(values) / self.dt)
+        return np.array(found)
+
+    def _check_loop(self, caller: str) -> None:
+        if not len(self.inputs) == len(self.outputs) == 1:
+            raise InputError(
+                f"{caller}: {len(self.inputs)} inputs and {len(self.outputs)} outputs are no loop "
+                f"(open one, as system.loop('uav1.roll').{caller}())"
+            )
 
     def to_scipy(self) -> dlti:
         """Return it as a `scipy.signal.dlti`, which has no names."""
@@ -497,6 +591,13 @@ def transfer(a: Array, b: Array, c: Array, z: Array) -> Array:
         states[k] = (into[k][:, np.newaxis] + later.reshape(count, -1)) / (z - triangle[k, k])
     response = (c @ unitary) @ states.reshape(-1, count * len(z))
     return np.moveaxis(response.reshape(len(c), count, len(z)), -1, 0)
+
+
+def _root(gramian: Array) -> Array:
+    """Return a root L of a positive semidefinite matrix L Lᵀ."""
+    values, vectors = np.linalg.eigh(0.5 * (gramian + gramian.T))
+    root: Array = vectors * np.sqrt(np.maximum(values, 0.0))
+    return root
 
 
 def _reached(a: Array, b: Array) -> BoolArray:

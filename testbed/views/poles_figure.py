@@ -17,6 +17,7 @@ FASTEST_HZ = 3.0  # faster poles are those of filters
 SLOWEST_PER_S, RIGHT_PER_S = -8.0, 0.8  # real parts drawn
 AXES = "real part, 1/s", "frequency of oscillations, Hz"
 RATIOS = (0.1, 0.2, 0.3)  # of damping, at which lines are drawn
+NAMED_AT = 0.91  # of their height
 PANEL_INCHES = (4.2, 3.8)  # width and height
 HEADER_INCHES = 1.6
 
@@ -70,6 +71,7 @@ def damping_lines() -> tuple[list[Line], list[Word]]:
     frequency = np.linspace(0.0, FASTEST_HZ, 2)
     slopes = {each: -2.0 * math.pi * each / math.sqrt(1.0 - each**2) for each in RATIOS}
     lines = [Line(slope * frequency, frequency, GREY, width=0.8) for slope in slopes.values()]
-    words = [Word(slope * FASTEST_HZ, FASTEST_HZ, f"{each:g}") for each, slope in slopes.items()]
+    high = NAMED_AT * FASTEST_HZ
+    words = [Word(slope * high, high, f"{each:g}") for each, slope in slopes.items()]
     lines[0] = replace(lines[0], label="lines of equal damping ratio")
     return [*lines, Line(np.zeros(2), frequency, BLACK, "unstable to the right")], words

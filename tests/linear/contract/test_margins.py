@@ -12,6 +12,7 @@ from commands import call_command, refuse_all
 from rich.console import Console
 from small_study import in_this_process
 
+import testbed
 from testbed.cli.margins import _table
 from testbed.cli.output import MISSING
 from testbed.core.errors import InputError
@@ -425,3 +426,26 @@ def test_margins_command_predicts(tmp_path):
         oscillations = [mode for mode in follower["modes"] if mode["frequency_hz"] > 0.0]
         assert oscillations[0] == follower["least_damped"] and len(oscillations) > 3
         assert follower["commands"]["pitch"]["gain"] > 2.0  # 6 dB
+
+
+def test_margins_command_draws_a_loop(tmp_path, monkeypatch):
+    """The poles of the open and the closed loop are marked, and the curve of all factors."""
+    grids = []
+    monkeypatch.setattr(
+        "testbed.views.matplotlib_backend.save_figure", lambda grid, *_: grids.append(grid)
+    )
+    words = ("--bank", "0", "--jobs", "1", "--plot", "p.svg", "--figure", "root-locus")
+    call_command("margins", "simulation-2", *words, cwd=tmp_path, code=0, columns=80)
+    [[panel]] = grids[0].rows
+    assert panel.title == "straight" and "roll command" in grids[0].subtitle
+    labels = [line.label for line in panel.lines if line.label]
+    assert labels[2:] == ["uav1", "uav2", "uav3", "factor 0", "factor 1"]
+    open_, closed = (
+        next(line for line in panel.lines if line.label == name)
+        for name in ("factor 0", "factor 1")
+    )
+    modes = testbed.linearise("simulation-2").coupled_with("uav1").modes()
+    least = next(each for each in modes if each.frequency_hz > 0.1 and each.motion == "bank")
+    near = np.abs(closed.x + 2j * np.pi * closed.y - least.pole)
+    assert np.nanmin(near) < 1e-3
+    assert np.nanmin(np.abs(open_.x + 2j * np.pi * open_.y - least.pole)) > 0.05

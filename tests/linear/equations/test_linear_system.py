@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from commands import call_command
+from scipy.linalg import solve_discrete_lyapunov
 from scipy.signal import dfreqresp
 from small_study import in_this_process
 
@@ -211,6 +212,46 @@ def test_coupled_parts_are_circles_of_the_graph():
     assert own.outputs == ("x.out", "y.out") and len(own.states) == 2 + 3
 
 
+@pytest.mark.parametrize("command", COMMANDS)
+def test_reduced_system_has_the_margins(formation, command):
+    """To a thousandth, with a third of the states, and the closed loop is stable."""
+    name = f"uav2.{command}"
+    own = formation.coupled_with("uav2").select(name, name)
+    small = own.reduced()
+    assert len(small.states) < 0.3 * len(own.states) and small.is_stable()
+    expected = own.loop(name).margins()
+    assert tuple(small.loop(name).margins()) == pytest.approx(tuple(expected), rel=1e-3, abs=1e-4)
+    rough = own.reduced(0.1).loop(name).margins()
+    assert rough.distance != pytest.approx(expected.distance, rel=1e-3)
+
+
+def test_reduced_keeps_responses_within_its_bound():
+    """Twice the sum of the Hankel singular values left out; and what never moves is taken off."""
+    full = random_system(["u", "v"], ["x.o", "x.p"], "x", states=12)
+    frozen = append([full, first_order(1.0, "x.frozen", "w", ["x.q"])]).select(
+        ["u", "v"], ["x.o", "x.p"]
+    )
+    small = frozen.reduced(0.05)
+    p = solve_discrete_lyapunov(full.a, full.b @ full.b.T)
+    q = solve_discrete_lyapunov(full.a.T, full.c.T @ full.c)
+    hankel = np.sort(np.sqrt(np.linalg.eigvals(p @ q).real))[::-1]
+    kept = int((hankel > 0.05 * hankel[0]).sum())
+    assert len(small.states) == kept < 12
+    error = small.frequency_response(HZ) - full.frequency_response(HZ)
+    largest = np.linalg.norm(error, ord=2, axis=(1, 2)).max()
+    assert 0.0 < largest <= 2.0 * hankel[kept:].sum()
+    assert len(frozen.reduced(1e-12).states) == 12
+
+
+def test_poles_with_factors_by_hand():
+    """Of L = 0.1 / (z - 0.9): the closed loop has z = 0.9 - 0.1 g."""
+    loop = first_order(0.9, "x", "u", ["x.o"])
+    found = loop.poles_with_factors([0.0, 1.0, 4.0])
+    assert np.exp(found[:, 0] * DT) == pytest.approx([0.9, 0.8, 0.5])
+    direct = replace(loop, d=np.array([[0.5]])).poles_with_factors([2.0])
+    assert np.exp(direct[0, 0] * DT) == pytest.approx(0.9 - 0.2 / 2.0)
+
+
 def test_without_unread_keeps_the_response():
     chain = append(
         [first_order(0.5, "x", "u", ["x.out"]), first_order(0.6, "y", "y.in", ["y.out"])]
@@ -232,6 +273,12 @@ def test_without_unread_keeps_the_response():
         (lambda x: x.loop("uav1.bank"), "inputs: there is no uav1.bank"),
         (lambda x: x.coupled_with("uav3"), "states: there is no uav3 .write uav1"),
         (lambda x: x.margins(), "margins: 2 inputs and 2 outputs are no loop"),
+        (lambda x: x.poles_with_factors([1.0]), "poles_with_factors: 2 inputs and 2 outputs"),
+        (lambda x: x.reduced(0.0), "tolerance: is 0.0 .write a number between 0 and 1"),
+        (
+            lambda x: append([x, first_order(1.0, "y", "uav1.roll", ["y.sum"])]).reduced(),
+            "y.sum does not come to rest after uav1.roll",
+        ),
         (lambda x: x.connect("uav1.roll", "uav1.roll", late=-1), "late: is -1"),
         (lambda x: x.connect("uav1", "uav1", late=1), "uav1.gust has no output uav1.gust"),
         (lambda x: x.connect("uav1.roll", "uav1.roll", turned=np.eye(2)), "turned: has the shape"),
