@@ -49,6 +49,7 @@ def demo_command(
     import testbed.views.matplotlib_backend
     import testbed.views.pillow_backend  # noqa: F401
     from testbed.cli.report import REPORT_NAME
+    from testbed.cli.video import h264_command
     from testbed.logs.file_record import record_files
     from testbed.logs.read import read_log
     from testbed.logs.run_directory import LOG_NAME
@@ -77,6 +78,8 @@ def demo_command(
     console.write_line(f" error    {_errors(run.metrics)}")
     for name, path in (("film", film), ("picture", picture), ("report", report)):
         console.write_line(f" {name:<8} {describe_file(path)}")
+        if path == film:
+            console.write_line(f" {'H.264':<8} {h264_command(film)}")
     console.write_line(f" log      {describe_file(folder / LOG_NAME)}")
     shown = SHOWN_AS if out is None else shlex.quote(str(folder))
     ways = (

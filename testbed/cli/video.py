@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -92,7 +93,17 @@ def video_command(
         draw_video(video, out, len(frames), fps, "drawing")
     record_output(out, default=False)
     length = f"{len(frames) / fps:.1f} s of {scene.scenario}"
-    message_console().write_line(describe_file(out, length))
+    messages = message_console()
+    messages.write_line(describe_file(out, length))
+    if out.suffix.lower() == ".mp4":
+        messages.write_line(f"as H.264, for slides: {h264_command(out)}")
+
+
+def h264_command(film: Path) -> str:
+    """Return the command that makes H.264 of a film in AV1, for programs that do not play that."""
+    slides = film.with_name(f"{film.stem}-h264.mp4")
+    source, target = (shlex.quote(str(each)) for each in (film, slides))
+    return f"ffmpeg -i {source} -c:v libx264 -pix_fmt yuv420p {target}"
 
 
 def draw_video(video: FlightVideo, path: Path, total: int, fps: int, what: str) -> None:

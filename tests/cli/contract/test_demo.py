@@ -32,6 +32,7 @@ def test_demo_writes_film_picture_and_report(short, tmp_path):
     lines = done.stdout.splitlines()
     assert lines[0].startswith(" error    ") and "m RMS from 15 s on (uav1 " in lines[0]
     assert any("testbed view it --web" in line for line in lines)
+    assert " H.264    ffmpeg -i it/demo.mp4 -c:v libx264 " in done.stdout
     assert max(map(len, lines)) <= 80
     assert [each for each in done.stderr.splitlines() if each[1:3] == "/4"] == [
         "1/4 fly", "2/4 film", "3/4 picture", "4/4 report",

@@ -69,6 +69,7 @@ def test_video_command_writes_frames(flown, tmp_path, suffix):
     done = call_command("video", "run.mcap", "--out", path, *options, cwd=flown, code=0, columns=99)
     assert f"{path}: " in done.stderr and "2.2 s of" in done.stderr
     assert list(tmp_path.iterdir()) == [path]
+    assert ("-c:v libx264" in done.stderr) is (suffix == ".mp4")
     if suffix != ".mp4":
         with Image.open(path) as video:
             frames = [frame.copy() for frame in ImageSequence.Iterator(video)]
