@@ -127,6 +127,7 @@ class TimeAxis:
         desired: Array | None = None,
         *,
         also: Sequence[Line] = (),
+        with_bands: bool = True,
         **more: Any,  # noqa: ANN401 - of `panel`
     ) -> Panel:
         """Make a panel of aircraft as they are selected.
@@ -135,6 +136,7 @@ class TimeAxis:
             values: (K, N), or (K, n) of followers.
             desired: (K, n), drawn dashed; None: without.
             also: further curves.
+            with_bands: summarise many followers by a band.
             more: of `panel`.
         """
         run, selection = self._run, self._selection
@@ -147,7 +149,7 @@ class TimeAxis:
         lines += follower_curves(time, values, selection)
         if desired is not None:
             lines += desired_curves(time, desired, selection)
-        bands = percentile_bands(time, values, selection)
+        bands = percentile_bands(time, values, selection) if with_bands else ()
         return self.panel(lines=[*lines, *also], bands=bands, **more)
 
     def panel(

@@ -21,7 +21,6 @@ from testbed.reports.plot_selection import (
     DrawnFollower,
     PlotSelection,
     decimate,
-    desired_curves,
     follower_curves,
     percentile_bands,
 )
@@ -81,12 +80,14 @@ def network(run: RunData, selection: PlotSelection) -> FigureSpec | None:
     if not np.nanmax(age, initial=0.0) > 0.0 and not missing.any():
         return None
     at, mean, largest = interval_statistics(log.time_s, age)
-    lines = [*follower_curves(at, mean, selection), *desired_curves(at, largest, selection)]
-    bands = percentile_bands(at, mean, selection)
-    panels = [axis.panel(oldest.label(), lines, bands)]
+    panels = []
+    for words, values in (("mean", mean), ("largest", largest)):
+        lines = [*follower_curves(at, values, selection)]
+        label = f"{words} {oldest.label()}"
+        panels.append(axis.panel(label, lines, percentile_bands(at, values, selection)))
     caption = (
-        "Age of the oldest message that a follower used: mean (solid) and maximum (dashed) over"
-        f" each of {AGE_INTERVALS} equal intervals."
+        "Age of the oldest message that a follower used: mean, and below the largest, over each of"
+        f" {AGE_INTERVALS} equal intervals."
     )
     if missing.any():
         lines, bands = _delivered_shares(run, sent, missing)

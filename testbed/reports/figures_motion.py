@@ -107,7 +107,9 @@ def speed(run: RunData, selection: PlotSelection) -> FigureSpec | None:
         panels = [axis.quantity("speed", leader=False, also=bounds)]
     panels.append(axis.quantity("flight_path_angle", leader=False))
     actual, desired = map(run.mask_lost, _turned(run.log.formation))
-    panels.append(axis.curves(actual, desired, y_label="course, whole turns counted, °"))
+    label = "course, whole turns counted, °"
+    # all followers fly the same course, so that a band would be a line
+    panels.append(axis.curves(actual, desired, with_bands=False, y_label=label))
     return FigureSpec(
         "Speed, flight-path angle and course",
         f"Solid: actual; dashed: desired; {bounds_note}." + axis.note,
