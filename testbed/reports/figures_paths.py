@@ -142,7 +142,7 @@ def corner(run: RunData, selection: PlotSelection) -> FigureSpec | None:
             Line(own[:, 1], own[:, 0], each.colour, each.name, 1.4,
                  marker=each.marker, marker_phase=0.5)
         )  # fmt: skip
-        label = "" if each is not drawn[0] else "slots"
+        label = "slots" if each is drawn[-1] else ""
         lines.append(Line(desired[:, 1], desired[:, 0], BLACK, label, 0.9, dashes=DASHED))
     time = time[near]
     formation, error = log.formation, run.error[near]

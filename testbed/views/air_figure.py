@@ -127,7 +127,7 @@ def _spectrum(data: WindFigureData, k: int) -> Panel:
         y_log=True,
         x_limits=_frequencies(data),
         y_limits=limits,
-        spans=_unresolved(data),
+        spans=_unresolved(data, named=k == 0),
         note=f"{symbol} does not vary",
     )
 
@@ -147,12 +147,13 @@ def _closed_form(
     )
 
 
-def _unresolved(data: WindFigureData) -> list[Span]:
+def _unresolved(data: WindFigureData, *, named: bool) -> list[Span]:
     """Shade the frequencies at which the closed form has shorter waves than the field."""
     if data.unresolved is None or data.unresolved[0] >= data.frequency_hz[-1]:
         return []
     begin, shortest = data.unresolved
-    return [Span(begin, float(data.frequency_hz[-1]), f"no waves below {shortest:.2g} m")]
+    name = f"no waves below {shortest:.2g} m" if named else ""
+    return [Span(begin, float(data.frequency_hz[-1]), name)]
 
 
 def _coherence(data: WindFigureData, k: int) -> Panel:
