@@ -13,7 +13,6 @@ from typing import Any
 
 from testbed.views.panels import Panel, PanelGrid
 
-WIDTHS_IN = 2.0, 20.0  # of figures for papers
 TEXT_PT, PAPER_TEXT_PT = 12.0, 8.0  # of figures; of those with a width
 MIN_PANEL_IN = 2.9  # width of a panel of a paper, below which panels stand in one column
 MAX_HEIGHT_IN = 9.0  # of the same, so that it is no longer than a page

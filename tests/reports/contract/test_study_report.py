@@ -260,7 +260,7 @@ def test_labels_stand_for_cases_and_keys(made):
     assert r"{[}1] chase \& hold, $k_1 = 2$ & 0 & 0" in table
 
 
-def test_label_of_wrong_mathematics_is_drawn_as_it_stands(made):
+def test_wrong_mathematics_of_a_label_is_text(made):
     study, _ = made
     study = replace(study, flights=replace(study.flights, case_label={"calm": r"$\wrong$"}))
     figure = next(figures.study_figures(study))
