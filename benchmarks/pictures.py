@@ -174,6 +174,16 @@ PICTURES = (
         Inputs((Case("simulation-3", (PROFILE_RMS,)),)),
     ),
     Picture(
+        "root-locus.png",
+        "docs/margins.md",
+        "Poles of Simulation 3 over a factor of the roll command, straight and at 45 degrees",
+        by(
+            *("margins", "simulation-3", "--set", PROFILE_RMS, "--bank", "0,45"),
+            *("--figure", "root-locus", "--plot"),
+        ),
+        Inputs((Case("simulation-3", (PROFILE_RMS,)),)),
+    ),
+    Picture(
         "delay.png",
         "docs/margins.md",
         "Offsets of Simulation 2 over the delay, in a turn at 30 degrees of bank",

@@ -34,6 +34,7 @@ from testbed.core.errors import InputError
 
 if TYPE_CHECKING:
     from testbed.linear.flown_margins import Margins
+    from testbed.linear.linear_system import LinearSystem
     from testbed.linear.predicted_margins import Prediction
     from testbed.scenario import Scenario
     from testbed.views.panels import PanelGrid
@@ -110,8 +111,8 @@ def margins_command(
     figure: Annotated[
         FigureKind,
         typer.Option(
-            help="The figure of --plot: poles; or of the loop opened at a command, in turns "
-            "clockwise, its Bode or Nyquist diagram, or its poles over a factor of 0 to 10."
+            help="The figure of --plot: poles; or of the loop opened at a command its Bode or "
+            "Nyquist diagram, or its poles over a factor of 0 to 10."
         ),
     ] = FigureKind.POLES,
     command: Annotated[
@@ -222,16 +223,25 @@ def _title(bank_deg: float) -> str:
     return f"{bank_deg:g}° of bank" if bank_deg else "straight"
 
 
+def _distance(loop: LinearSystem) -> tuple[bool, float]:
+    """Return by what the worse one of two loops is found: stability, then the distance from -1."""
+    margins = loop.margins()
+    return margins.gain > 1.0, margins.distance
+
+
 def _loop_figure(
     scenario: Scenario, banks: Sequence[float], climb: float, kind: FigureKind, command: CommandName
 ) -> PanelGrid:
     """Draw the loops of a command at banks, of up to `MAX_LOOPS` followers, evenly selected.
+
+    Of both directions of turn each follower has the worse one, as in the table.
 
     Raises:
         InputError: there is no bank.
     """
     import numpy as np
 
+    from testbed.linear.flown_margins import directions
     from testbed.linear.linearise import linearise
     from testbed.linear.loop_margins import FREQUENCIES
     from testbed.views.loop_figures import (
@@ -253,9 +263,11 @@ def _loop_figure(
     factors = factors if kind is FigureKind.ROOT_LOCUS else factors[:0]
     drawn = []
     for bank in banks:
-        system, loops = linearise(scenario, bank_deg=bank, climb_mps=climb), []
+        systems = [linearise(scenario, bank_deg=each, climb_mps=climb) for each in directions(bank)]
+        loops = []
         for row in rows:
-            loop = system.loop(f"{followers[row]}.{command}")
+            name = f"{followers[row]}.{command}"
+            loop = min((each.loop(name) for each in systems), key=_distance)
             hz = FREQUENCIES * (0.5 / loop.dt)
             hz = hz[hz >= LOWEST_HZ]
             response = loop.frequency_response(hz)[:, 0, 0]

@@ -73,6 +73,7 @@ DEFAULT_FONT = "DejaVu Sans"  # comes with Matplotlib
 PNG_DOTS_PER_INCH = 200  # with text of 12 points; more where it is smaller
 LEGEND_IN = 0.35  # height of a legend row, inches
 KEY_IN, LETTER_IN = 0.8, 0.095  # width of a legend key and of a letter, inches
+MIN_ROOM_IN = 1.5  # width of a panel's title at least
 TICKS_IN, AXIS_IN = 0.35, 0.25  # height of the numbers of an axis and of its label, inches
 TITLE_PT, NAME_PT = 6.0, 12.5  # distance of a title, and height of a line of names of spans
 SMALL_PT = 10.5  # size of the smallest text: 7 points in a paper
@@ -301,7 +302,13 @@ def _label_rooms(content: PanelGrid, *, titled: bool) -> list[tuple[float, float
     shares = [share / sum(content.widths) for share in content.widths]
     rows = len(content.rows)
     high = (height - TITLES_IN * titled - LEGEND_IN) / rows - TICKS_IN - AXIS_IN / rows
-    return [(max(width * share - KEY_IN, 1.0) / LETTER_IN, high / LETTER_IN) for share in shares]
+    rooms = []
+    for k, share in enumerate(shares):
+        ticks = [text for row in content.rows if k < len(row) for _, text in row[k].y_ticks]
+        beside = LETTER_IN * max(map(len, ticks), default=0)
+        across = max(width * share - KEY_IN - beside, MIN_ROOM_IN)
+        rooms.append((across / LETTER_IN, high / LETTER_IN))
+    return rooms
 
 
 def _label(ax: Axes, panel: Panel, room: tuple[float, float], scale: float) -> None:

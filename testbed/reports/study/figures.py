@@ -31,6 +31,7 @@ from testbed.reports.study.study_data import (
     format_level,
     metric_title,
     metric_words,
+    named_level,
 )
 from testbed.reports.study.tables import level_groups
 from testbed.views.panels import BLACK, DASHES, Heatmap, Line, Panel
@@ -228,8 +229,8 @@ def _places(study: StudyData) -> list[tuple[str, BoolArray]]:
     for point in points:
         here = flights.point == point
         one = int(np.flatnonzero(here)[0])
-        levels = [format_level(each.levels[each.index[one]]) for each in flights.parameters]
-        text = ", ".join(f"{name} {level}" for name, level in zip(names, levels, strict=True))
+        levels = [each.levels[each.index[one]] for each in flights.parameters]
+        text = ", ".join(map(named_level, names, levels))
         everything.append((text, here))
     return everything
 

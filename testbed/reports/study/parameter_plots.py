@@ -20,6 +20,7 @@ from testbed.reports.study.study_data import (
     axis_label,
     format_level,
     metric_title,
+    named_level,
     running_quantiles,
 )
 from testbed.views.panels import BLACK, DASHED, DASHES, Band, Line, Panel
@@ -150,7 +151,7 @@ def _facets(study: StudyData, others: Sequence[Parameter]) -> list[Facet]:
     facets = []
     for levels in product(*(range(len(each.levels)) for each in others)):
         chosen = list(zip(others, levels, strict=True))
-        names = [f"{each.label} {format_level(each.levels[k])}" for each, k in chosen]
+        names = [named_level(each.label, each.levels[k]) for each, k in chosen]
         here = np.logical_and.reduce([each.index == k for each, k in chosen])
         facets.append(Facet("\n".join(names), here))
     return facets
@@ -189,7 +190,7 @@ def _groups(
             return [CurveGroup("", everything, *STYLES[0], "", shift=0.0)], "", others
         levels = [format_level(level) for level in other.levels]
         names = [f"{other.key} {level}" for level in levels]
-        labels = [f"{other.label} {level}" for level in levels]
+        labels = [named_level(other.label, level) for level in other.levels]
         index, by, others = other.index, "levels of the other parameter", []
     count = min(len(names), len(STYLES))
     spacing = 0.5 / max(count, 2)

@@ -563,6 +563,12 @@ class StudyData:
         )  # fmt: skip
 
 
+def named_level(label: str, value: Value) -> str:
+    """Format a level behind the label of its parameter: "wind, m/s" and 6 are "wind 6 m/s"."""
+    words, _, unit = label.partition(", ")
+    return f"{words} {format_level(value)} {unit}".rstrip()
+
+
 def format_level(value: Value) -> str:
     """Format a level of a parameter."""
     if isinstance(value, bool):

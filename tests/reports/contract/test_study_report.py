@@ -23,7 +23,7 @@ from testbed.reports.study import figures, latex_table, study_page, tables
 from testbed.reports.study.page import print_summary
 from testbed.reports.study.parameter_plots import parameters
 from testbed.reports.study.report_table import format_cell, format_number
-from testbed.reports.study.study_data import IntervalEstimate, axis_label
+from testbed.reports.study.study_data import IntervalEstimate, axis_label, named_level
 from testbed.views.figure_style import FigureStyle, fit_width
 from testbed.views.matplotlib_backend import figure_svg
 
@@ -242,7 +242,7 @@ def test_labels_stand_for_cases_and_keys(made):
     """In figures, tables and LaTeX; the numbers are those without labels."""
     plain, _ = made
     labels = {"calm": "still air", "gusty": "$w_{20}$ = 8 m/s"}
-    flights = replace(plain.flights, case_label=labels, key_label={"network.loss": "loss"})
+    flights = replace(plain.flights, case_label=labels, key_label={"network.loss": "loss, %"})
     study = replace(plain, flights=flights)
     assert [row[1].replace("still air", "calm") for row in tables.cases(study).rows][0] == "calm"
     for one, other in zip(tables.cases(plain).rows, tables.cases(study).rows, strict=True):
@@ -251,7 +251,8 @@ def test_labels_stand_for_cases_and_keys(made):
     assert "network.loss" not in page and "still air" in page and ">calm<" not in page
     assert "late" in page  # has no label
     drawing = parameters(study, METRIC)
-    assert drawing.rows[0][0].x_label == "loss"
+    assert drawing.rows[0][0].x_label == "loss, %"
+    assert (named_level("loss, %", 3), named_level("law", "a")) == ("loss 3 %", "law a")
     assert {line.label.partition(",")[0] for line in drawing.rows[0][0].lines} >= {*labels.values()}
     assert [text for _, text in figures.cases(study, METRIC).rows[0][0].y_ticks][0] != "calm"
     law = two_laws("case")

@@ -77,6 +77,15 @@ def test_axis_is_labelled_once():
     assert not shares_axis(panel(), panel(lines=()))
 
 
+def test_title_beside_long_names_is_not_cut():
+    """It has the width of the axes."""
+    ticks = [(0.2, "message loss 0.2, wind 6 m/s"), (0.8, "all")]
+    full = panel("", "mean difference from the law of [HBH23]", y_ticks=ticks)
+    axes, texts = drawn(PanelGrid("", "", [[full]], (1.0,), (11.0, 4.0)), PAPER)
+    title = next(each for each in texts if "mean" in each.get_text())
+    assert title.get_window_extent().x1 <= axes[0].figure.bbox.x1
+
+
 def test_narrow_figure_is_one_column_of_a_page():
     """Panels that share an axis stay together; panels are lowered to the height of a page."""
     rows = [[panel(f"{k}{n}", x_limits=(0.0, 1.0 + k)) for k in range(3)] for n in range(5)]
