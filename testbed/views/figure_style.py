@@ -127,7 +127,7 @@ def unknown_labels(names: Iterable[str], grids: Iterable[PanelGrid]) -> dict[str
     """
     texts = dict.fromkeys(text for grid in grids for text in texts_of(grid))
     words = (word for text in texts for word in re.split(r"[,:>·\s]+", text))
-    known = dict.fromkeys(filter(None, (*texts, *words)))
+    known = dict.fromkeys((*texts, *(word for word in words if len(word) > 1)))
     out = {}
     for name in names:
         if not any(_whole(name).search(text) for text in texts):

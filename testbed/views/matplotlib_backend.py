@@ -171,7 +171,8 @@ def _font(family: str) -> dict[Any, Any]:
     """Return the settings of a font, whose missing letters are Matplotlib's own."""
     if not family:
         return {}
-    mathematics = {"rm": family, "it": f"{family}:italic", "bf": f"{family}:bold"}
+    mathematics = dict.fromkeys(("rm", "sf", "tt", "cal"), family)
+    mathematics |= {"it": f"{family}:italic", "bf": f"{family}:bold", "bfit": f"{family}:bold"}
     return {
         "font.family": [family, DEFAULT_FONT],
         "mathtext.fontset": "custom",

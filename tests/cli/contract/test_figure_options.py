@@ -38,7 +38,8 @@ def test_figure_has_width_font_and_labels(tmp_path):
     text = (tmp_path / "g" / "control-functions.svg").read_text("utf-8")
     assert "Beispiel 2 -->" in text and "example 2 -->" not in text
     assert "STIX" not in text
-    call_command(*words, "--font", "STIXGeneral", cwd=tmp_path, code=0, columns=100)
+    words = (*words, "--font", "STIXGeneral")
+    assert call_command(*words, cwd=tmp_path, code=0, columns=100).stderr == ""
     assert "STIX" in (tmp_path / "g" / "control-functions.svg").read_text("utf-8")
 
 
