@@ -28,7 +28,6 @@ from testbed.reports.study.study_data import (
     StudyData,
     axis_label,
     estimate_of,
-    format_level,
     metric_title,
     metric_words,
     named_level,
