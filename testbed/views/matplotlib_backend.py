@@ -73,6 +73,8 @@ DEFAULT_FONT = "DejaVu Sans"  # comes with Matplotlib
 PNG_DOTS_PER_INCH = 200  # with text of 12 points; more where it is smaller
 LEGEND_IN = 0.35  # height of a legend row, inches
 KEY_IN, LETTER_IN = 0.8, 0.095  # width of a legend key and of a letter, inches
+TICK_LETTER_IN = 0.08  # width of a letter of a text in place of a number
+MAX_TICK = 30  # letters of a line of such a text
 MIN_ROOM_IN = 1.5  # width of a panel's title at least
 TICKS_IN, AXIS_IN = 0.35, 0.25  # height of the numbers of an axis and of its label, inches
 TITLE_PT, NAME_PT = 6.0, 12.5  # distance of a title, and height of a line of names of spans
@@ -306,8 +308,9 @@ def _label_rooms(content: PanelGrid, *, titled: bool) -> list[tuple[float, float
     rooms = []
     for k, share in enumerate(shares):
         ticks = [text for row in content.rows if k < len(row) for _, text in row[k].y_ticks]
-        beside = LETTER_IN * max(map(len, ticks), default=0)
-        across = max(width * share - KEY_IN - beside, MIN_ROOM_IN)
+        longest = min(max(map(len, ticks), default=0), MAX_TICK)
+        beside = TICKS_IN + TICK_LETTER_IN * longest if longest else KEY_IN
+        across = max(width * share - beside, MIN_ROOM_IN)
         rooms.append((across / LETTER_IN, high / LETTER_IN))
     return rooms
 
@@ -373,7 +376,7 @@ def _fill(ax: Axes, panel: Panel, scale: float = 1.0) -> None:
         ax.locator_params(axis="x", nbins=5)  # few: long numbers need space
     for axis, ticks in ((ax.xaxis, panel.x_ticks), (ax.yaxis, panel.y_ticks)):
         if ticks:
-            axis.set_ticks([at for at, _ in ticks], [text for _, text in ticks])
+            axis.set_ticks([at for at, _ in ticks], [wrapped(text, MAX_TICK) for _, text in ticks])
             axis.set_minor_locator(NullLocator())
     ax.set(xlim=panel.x_limits, ylim=panel.y_limits)
     low, high = ax.get_ylim()
