@@ -36,6 +36,7 @@ PANELS: Final[Mapping[str, Mapping[str, str]]] = {
         "validate": "validate",
         "list": "scenario",
         "law": "law",
+        "assess": "assess",
         "margins": "margins",
         "delay": "delay",
         "frequency-response": "frequency_response",
@@ -83,7 +84,7 @@ _OPTION_PANELS: Final[Mapping[str, Mapping[str, tuple[str, ...]]]] = {
     }
 }
 _WITH_EXIT_CODES: Final = (
-    "demo", "run", "view", "shot", "check", "compare", "sweep", "tune", "respond", "arduplane",
+    "demo", "run", "assess", "view", "shot", "check", "compare", "sweep", "tune", "respond", "arduplane",
 )  # fmt: skip
 
 

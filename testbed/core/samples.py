@@ -179,6 +179,7 @@ class BlockObserver(ABC):
     """
 
     zero_copy = True  # holds no array of a sample
+    ends_flight = False  # after a block: whether the run ends, as a bound is violated
     _buffer: SampleBuffer | None = None
 
     def share(self, buffer: SampleBuffer) -> None:

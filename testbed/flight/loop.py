@@ -42,6 +42,7 @@ from testbed.flight.stages import (
 from testbed.flight.steps import copy_truth, find_losses, has_events
 from testbed.flight.tick_loop import ANY_TICKS, LOOK_TICKS, PLACE, TickInputs, TickLoop, pause
 from testbed.flight.world import World
+from testbed.metrics.document import BOUND_VIOLATED
 from testbed.vehicle.fleet import Move
 
 Ended: TypeAlias = Callable[[float, TickActions], bool]
@@ -281,7 +282,12 @@ class Flight:
             yield Stage(part, rate, "give events to observers", call=call, then=self._observe)
         if buffer is not None:
             call, name = buffer.full_call(), "take a full block of samples"
-            yield Stage(part, rate, name, call=call, then=observers.take_block)
+            yield Stage(part, rate, name, call=call, then=self._take_block)
+
+    def _take_block(self, now: float) -> None:
+        """Hand a block of samples to the observers; end the run where one needs no more."""
+        if self._observers.take_block() and self.ending is None:
+            self.ending = self.outcome if self.outcome != "completed" else BOUND_VIOLATED
 
     def prepare(
         self,

@@ -69,10 +69,11 @@ class Observers:
             for taker in self._of_blocks:
                 taker.share(self.buffer)
 
-    def take_block(self, now: float) -> None:
-        """Let observers take the block of the buffer, which is full."""
+    def take_block(self) -> bool:
+        """Let observers take the block of the buffer, which is full; return whether one ends it."""
         for each in self._of_blocks:
             each.take_block()
+        return any(each.ends_flight for each in self._of_blocks)
 
     def observe(self, sample: Sample) -> None:
         """Pass a sample to observers of samples, and its events to the others."""

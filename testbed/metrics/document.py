@@ -17,7 +17,8 @@ _OTHER = re.compile(rf"{SEPARATION_LOST}: \S+ m from (\S+) ")  # the second airc
 # first words of the events of exceeded limits
 LIMIT_EVENTS = ("overspeed", "stalled", "lost its formation", SEPARATION_LOST)
 EXCEEDED = ("envelope_exceeded", "formation_lost", "separation_lost")
-OUTCOMES = ("completed", "lost", *EXCEEDED, "interrupted", "failed")
+BOUND_VIOLATED = "bound_violated"  # the run was ended by `limits.on_violation: stop`
+OUTCOMES = ("completed", "lost", *EXCEEDED, BOUND_VIOLATED, "interrupted", "failed")
 
 
 _WALL_CLOCK_KEYS = ("wall_s", "real_time_factor")

@@ -78,6 +78,8 @@ def _numbers(
     ]
     if not any(quantity in numbers for numbers in windows.values()):
         places = [(None, document[quantity])]
+    if quantity == "left_speed_set":
+        places = [(None, {name: each["times"] for name, each in document[quantity].items()})]
     lost = document["lost_at_s"]
     for window, values in places:
         by_follower = values if isinstance(values, Mapping) else {None: values}

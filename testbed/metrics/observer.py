@@ -12,6 +12,7 @@ import numpy as np
 from testbed.core.records import Event, RunInfo
 from testbed.core.samples import BlockObserver
 from testbed.metrics.accumulator import Accumulator, make_block
+from testbed.metrics.final_bounds import is_violated
 from testbed.metrics.model import Metrics
 from testbed.metrics.summary import summarise
 
@@ -24,15 +25,18 @@ class MetricsObserver(BlockObserver):
             the run.
         published: numbers published for this scenario, copied to the summary: `source`, `rms_m`,
             `mean_rms_m` and `percent_error` by window.
+        stop_at: bounds as of `expect`; the flight ends when one is violated whatever follows.
     """
 
     def __init__(
         self,
         windows: Mapping[str, tuple[float, float]] | None = None,
         published: Mapping[str, Any] | None = None,
+        stop_at: Mapping[str, Any] | None = None,
     ) -> None:
         self._own_windows = windows
         self._published = published
+        self._stop_at = stop_at
         self._info: RunInfo | None = None
         self._events: list[Event] = []
 
@@ -45,6 +49,10 @@ class MetricsObserver(BlockObserver):
         if self._accumulator.is_empty and self._earlier is not None:
             self._accumulator.precede(make_block(self._earlier))
         self._accumulator.add(make_block(self._take()))
+        if self._stop_at and self._info is not None:
+            self.ends_flight = is_violated(
+                self._accumulator, self._windows, self._info, self._stop_at
+            )
 
     def begin(self, info: RunInfo) -> None:
         """Allocate the accumulator."""
@@ -58,6 +66,7 @@ class MetricsObserver(BlockObserver):
             medium_ned=np.array(info.bounded_in_ned),
         )
         self._events = []
+        self.ends_flight = False
         self._begin_blocks(info)
 
     def reseed(self, seed: int) -> None:

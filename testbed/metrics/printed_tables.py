@@ -21,7 +21,7 @@ from rich.text import Text
 
 from testbed.core.flags import Saturation
 from testbed.core.records import join_names
-from testbed.metrics.document import EXCEEDED
+from testbed.metrics.document import BOUND_VIOLATED, EXCEEDED
 from testbed.metrics.facts import ABSENT, facts, percent, select_largest, shown
 from testbed.metrics.model import LinkMetrics, LoggedEvent, Metrics, WindowMetrics
 
@@ -41,7 +41,7 @@ NARROW_INDENT = 4
 # A number and its unit, which stay on one line.
 _QUANTITY = re.compile(r"(?<=\d) (?=(?:m|m/s|km|s|ms|Hz|%|°|rad|rad/s|V)\b|%|°)")
 OUTCOME_STYLES = {"completed": "bold green"} | dict.fromkeys(
-    ("lost", *EXCEEDED, "failed"), "bold red"
+    ("lost", *EXCEEDED, BOUND_VIOLATED, "failed"), "bold red"
 )
 EVENT_STYLES = {"error": "red", "warning": "yellow"}
 _PUBLISHED = ("rms_m", "mean_rms_m", "percent_error")  # numbers of a window

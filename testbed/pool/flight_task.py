@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from testbed.core.errors import FlightError, InputError, raise_memory_shortage
-from testbed.metrics.document import EXCEEDED, exceedances, losses
+from testbed.metrics.document import BOUND_VIOLATED, EXCEEDED, exceedances, losses
 from testbed.metrics.expectations import bound_key, describe_violation, violations
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from testbed.scenario import Scenario
 
 COMPLETED, LOST, FAILED, INVALID = "completed", "lost", "failed", "invalid"
-OUTCOMES = (COMPLETED, LOST, *EXCEEDED, FAILED, INVALID)
+OUTCOMES = (COMPLETED, LOST, *EXCEEDED, BOUND_VIOLATED, FAILED, INVALID)
 INTERRUPTED = "interrupted"
 _ONE_FLIGHT = threading.Lock()  # a Dask worker may have several threads
 
@@ -88,6 +88,14 @@ def _flights() -> RepeatedFlights:
     return RepeatedFlights()
 
 
+def describe_ending(metrics: Mapping[str, Any]) -> str:
+    """Describe what is wrong with a flight: a loss, a limit exceeded, violated bounds; or ""."""
+    outcome = str(metrics["outcome"])
+    if describe := {LOST: losses, **dict.fromkeys(EXCEEDED, exceedances)}.get(outcome):
+        return f"{outcome}: {', '.join(describe(metrics))}"
+    return "; ".join(f"{bound_key(each)}: {describe_violation(each)}" for each in violations(metrics))
+
+
 def run_task(task: FlightTask) -> FlightResult:
     """Fly a task in this process, without files; errors become part of the result.
 
@@ -108,13 +116,7 @@ def run_task(task: FlightTask) -> FlightResult:
                     task.number, COMPLETED, "", metrics, time.perf_counter() - start
                 )
             metrics, depends_on_seed = _flights().fly(task.scenario)
-            outcome = str(metrics["outcome"])
-            describe = {LOST: losses, **dict.fromkeys(EXCEEDED, exceedances)}.get(outcome)
-            error = f"{outcome}: {', '.join(describe(metrics))}" if describe else ""
-            if outcome == COMPLETED and (found := violations(metrics)):
-                error = "; ".join(
-                    f"{bound_key(each)}: {describe_violation(each)}" for each in found
-                )
+            outcome, error = str(metrics["outcome"]), describe_ending(metrics)
         except FlightError as failure:
             outcome, error = FAILED, f"failed: {failure}"
         except InputError as refused:

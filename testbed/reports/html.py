@@ -115,7 +115,7 @@ a { color: var(--blue); }
   border-radius: .3rem; padding: .05rem .45rem; }
 .outcome.completed { color: var(--good); }
 .outcome.lost, .outcome.envelope_exceeded, .outcome.formation_lost,
-.outcome.separation_lost, .outcome.failed { color: var(--bad); }
+.outcome.separation_lost, .outcome.bound_violated, .outcome.failed { color: var(--bad); }
 nav { display: flex; flex-wrap: wrap; gap: .2rem 1rem; margin: .6rem 0 1.4rem; font-size: .95rem; }
 nav a { white-space: nowrap; }
 .cards { display: grid; grid-template-columns: repeat(auto-fit, minmax(9.5rem, 1fr)); gap: .8rem;

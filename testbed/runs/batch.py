@@ -36,6 +36,7 @@ from testbed.metrics.observer import MetricsObserver
 from testbed.plan.world import RowRecords, build
 from testbed.runs.command_ranges import RANGES, wrong_part
 from testbed.runs.flight_progress import Progress, compiling_report, reporting_progress
+from testbed.runs.run import stop_bounds
 from testbed.runs.simulation import EventCollector, flight_metrics
 from testbed.scenario import Scenario, ScenarioError, find_loaded, set_seed
 from testbed.scenario.aircraft import ArduPlane
@@ -312,7 +313,8 @@ class _Row:
         self.outcome: str | None = None
         self._world = world = build(scenario, in_process=True, records=records, unused="list")
         self.unused = world.unused
-        self._meter, self.events = MetricsObserver(published=scenario.published), EventCollector()
+        self._meter = MetricsObserver(published=scenario.published, stop_at=stop_bounds(scenario))
+        self.events = EventCollector()
         self._flight = Flight(world, (self._meter, self.events), place=place)
         self._flight.compile()
         for each in (self._meter, self.events):

@@ -31,7 +31,7 @@ from testbed.logs.run_directory import (
     create_run_directory,
     write_run_file,
 )
-from testbed.metrics.document import finalise, write_json
+from testbed.metrics.document import BOUND_VIOLATED, finalise, write_json
 from testbed.metrics.expectations import violations
 from testbed.metrics.model import Metrics
 from testbed.metrics.observer import MetricsObserver
@@ -58,16 +58,17 @@ from testbed.scenario.arguments import check_calls, check_count, check_path
 from testbed.scenario.validate import shown_value
 from testbed.vehicle.workers import ParallelFleet
 
+UNEXPECTED = 3  # exit code of a number outside the bounds of `expect`
 EXIT_CODES: Mapping[str, int] = {
     "completed": 0,
     "lost": 1,
     "envelope_exceeded": 1,
     "formation_lost": 1,
     "separation_lost": 1,
+    BOUND_VIOLATED: UNEXPECTED,
     "failed": 4,
     "interrupted": 130,
 }
-UNEXPECTED = 3  # exit code of a number outside the bounds of `expect`
 
 
 @dataclass(frozen=True, repr=False)
@@ -221,7 +222,7 @@ def _fly(
         directory = open_run_directory(loaded, world, folder) if write else None
         if server and directory and external.tlog:
             server.log_to(directory / TLOG_NAME)
-        meter = MetricsObserver(published=loaded.published)
+        meter = MetricsObserver(published=loaded.published, stop_at=stop_bounds(loaded))
         log = [McapRecorder(directory / LOG_NAME)] if directory and loaded.log.mcap else []
         all_observers: list[Observer] = [meter, *log, *observers, *([server] if server else [])]
         flight = Flight(world, all_observers, stages)
@@ -280,6 +281,11 @@ def _fly(
                 error.add_note(f"log: {directory}")
             raise
     return Run(loaded, cast("Metrics", metrics), directory)
+
+
+def stop_bounds(scenario: Scenario) -> dict[str, Any]:
+    """Return the bounds of a scenario that end a flight when they are violated."""
+    return scenario.expect.model_dump() if scenario.limits.on_violation == "stop" else {}
 
 
 def list_stages(world: World) -> list[tuple[str, str, str, str]]:

@@ -38,7 +38,7 @@ from testbed.runs.flight_progress import (
     compiling_report,
     reporting_progress,
 )
-from testbed.runs.run import check_observers, open_run_directory
+from testbed.runs.run import check_observers, open_run_directory, stop_bounds
 from testbed.scenario import Scenario, SingleAircraft, find_loaded, set_seed
 from testbed.scenario.aircraft import ArduPlane
 from testbed.scenario.arguments import check_argument, check_path
@@ -146,7 +146,8 @@ class Simulation(NotCopied):
                 world = build(scenario, in_process=True)
         self._end_observers()
         self.scenario = scenario
-        meter, events = MetricsObserver(published=self.scenario.published), EventCollector()
+        meter = MetricsObserver(published=scenario.published, stop_at=stop_bounds(scenario))
+        events = EventCollector()
         self._world, self._meter, self.events = world, meter, events.all
         self.directory = self._open_directory(world)
         observers: list[Observer] = [meter, events]

@@ -143,6 +143,9 @@ class Expect(_WithoutMissing):
         None,
         description="RMS error of each follower's estimated position relative to the leader, m.",
     )
+    left_speed_set: OfNamed | None = Field(
+        None, description="How often the speed of each follower left its bounds, a number."
+    )
 
     @property
     def bounds(self) -> Mapping[str, Bounds]:

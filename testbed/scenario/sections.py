@@ -177,6 +177,11 @@ class Limits(Section):
         description="Beyond min_separation_m, overspeed_mps, stall_deg or formation_lost_m: stop "
         "the run, or continue.",
     )
+    on_violation: Literal["stop", "continue"] = Field(
+        "continue",
+        description="When a bound of expect is violated whatever follows: stop the run, or "
+        "continue.",
+    )
 
 
 class Log(Section):

@@ -27,6 +27,7 @@ Keys = tuple[str, ...]
 _OF_EVERY_RUN: tuple[Keys, ...] = (
     ("expect",),
     ("log",),
+    ("limits", "on_violation"),
     *(
         ("scenario", key)
         for key in (

@@ -69,6 +69,7 @@ _ENDS = {
     "left the formation": ("formation_lost",),
     "lost separation": ("separation_lost",),
     "in overspeed or stall": ("envelope_exceeded",),
+    "ended with a violated bound": ("bound_violated",),
 }  # outcomes of flights that went on, by text
 
 

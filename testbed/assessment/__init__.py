@@ -1,0 +1,1 @@
+"""What a formation bears, found before a flight: margins, largest values, faults, a verdict."""

@@ -1,0 +1,93 @@
+"""Parameters and gains that the flights of a scenario assume, as files to load or to compare."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+from testbed.autopilot.param_file import read_param_file
+from testbed.autopilot.parameters import FbwaParams
+from testbed.core.records import join_names
+from testbed.plan.fleet import FormationPlan, PlannedAircraft, PlannedFollower
+from testbed.pool.scenario_snapshot import differences
+from testbed.scenario import Scenario, dump_middle_loop, load_middle_loop
+
+OWN_TUNE = "autopilot.param"  # of an aircraft
+
+
+@dataclass(frozen=True, slots=True)
+class AssumedFile:
+    """Parameters or gains of some aircraft.
+
+    Attributes:
+        name: of the file.
+        text: of the file.
+        aircraft: names of the aircraft that have them.
+        differences: from those of the aircraft's folder.
+    """
+
+    name: str
+    text: str
+    aircraft: tuple[str, ...]
+    differences: tuple[str, ...]
+
+
+def assumed_files(scenario: Scenario, fleet: FormationPlan) -> list[AssumedFile]:
+    """Return the autopilot parameters and the gains of the middle loop, equal ones once."""
+    found = [
+        _parameters(scenario, group) for group in _groups([e for e in fleet.aircraft if e.has_model])
+    ]
+    followers = [each for each in fleet.followers if each.has_model]
+    return [*found, *(_gains(scenario, group) for group in _groups(followers))]
+
+
+def _groups(aircraft: Sequence[PlannedAircraft]) -> list[list[PlannedAircraft]]:
+    groups: dict[object, list[PlannedAircraft]] = {}
+    for each in aircraft:
+        groups.setdefault((each.folder, each.tune_file), []).append(each)
+    return list(groups.values())
+
+
+def _parameters(scenario: Scenario, group: Sequence[PlannedAircraft]) -> AssumedFile:
+    first = group[0]
+    own = first.folder / OWN_TUNE
+    given = read_param_file(first.tune_file).values
+    of_aircraft = read_param_file(own).values if own.is_file() else {}
+    names, lines, differing = tuple(each.name for each in group), list[str](), list[str]()
+    source = f"{first.folder.name}/{first.tune_file.name}"
+    for field in fields(FbwaParams):
+        name, value = field.name.upper(), getattr(first.params, field.name)
+        default = name not in given
+        lines.append(f"{name} {value:g}" + ("  # default: not in the file" if default else ""))
+        if default:
+            differing.append(f"{name} {value:g}: ArduPlane's default, not in {source}")
+        elif name not in of_aircraft:
+            differing.append(f"{name} {value:g}: not in {own.name}")
+        elif of_aircraft[name].value != given[name].value:
+            differing.append(f"{name} {value:g}: {of_aircraft[name].value:g} in {own.name}")
+    head = (
+        f"# Parameters of fly-by-wire A and guidance that the flights of {scenario.name} assume\n"
+        f"# for {join_names(names)}, from {source}\n"
+    )
+    return AssumedFile(
+        f"{_file_name(group)}.param", head + "\n".join(lines) + "\n", names, tuple(differing)
+    )
+
+
+def _gains(scenario: Scenario, group: Sequence[PlannedAircraft]) -> AssumedFile:
+    first = group[0]
+    assert isinstance(first, PlannedFollower)
+    profile = scenario.controller.profile
+    own = load_middle_loop(first.folder, profile, file=scenario.controller.middle_loop)
+    return AssumedFile(
+        f"{_file_name(group)}-middle_loop.yaml",
+        dump_middle_loop({profile: first.gains}),
+        tuple(each.name for each in group),
+        differences(own.model_dump(mode="json"), first.gains.model_dump(mode="json")),
+    )
+
+
+def _file_name(group: Sequence[PlannedAircraft]) -> str:
+    first = group[0]
+    tune = "" if first.tune_file.name == OWN_TUNE else f"-{first.tune_file.stem}"
+    return f"{first.folder.name}{tune}"

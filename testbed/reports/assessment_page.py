@@ -1,0 +1,366 @@
+"""The page of an assessment, made of its document."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from html import escape
+from typing import Any
+
+from testbed.reports.html import (
+    Page,
+    PageSection,
+    download_link,
+    rows_to_html,
+    text_table_to_html,
+)
+
+Row = Mapping[str, Any]
+MISSING = "–"
+TITLES = {
+    "nominal": "as in the scenario",
+    "margins": "margins",
+    "loss": "lost messages",
+    "delay": "delay of messages",
+    "wind": "wind",
+    "turbulence": "turbulence, wind at 20 ft",
+    "gps": "errors of GPS",
+    "airspeed": "errors of airspeed",
+    "engine-out": "engine out",
+    "gps-lost": "GPS lost",
+    "airspeed-blocked": "pitot tube blocked",
+    "surface-stuck": "aileron or left elevon stuck",
+    "leader-silent": "leader silent",
+    "radio-cut": "no messages at all",
+}
+CONDITIONS = ("loss", "delay", "wind", "turbulence", "gps", "airspeed")
+FAULTS = ("engine-out", "gps-lost", "airspeed-blocked", "surface-stuck")
+OUTAGES = ("leader-silent", "radio-cut")
+_UNITS = {"loss": " %", "delay": " s", "wind": " m/s", "turbulence": " m/s"}
+_SHORT_STYLE = ' class="red bold"'
+
+
+def assessment_page(found: Row) -> Page:
+    """Make the page of an assessment.
+
+    Args:
+        found: its document.
+    """
+    rows = found["rows"]
+    return Page(
+        title=f"{found['scenario']}: {found['verdict']}",
+        head=_head(found),
+        sections=(
+            PageSection("nominal", "As in the scenario", _nominal(rows)),
+            PageSection("margins", "Margins", _margins(rows)),
+            PageSection("conditions", "What it bears", _conditions(found)),
+            PageSection("faults", "Faults and outages", _faults(rows)),
+            PageSection("energy", "Battery and time", _energy(found)),
+            PageSection("limits", "Limits reached first", _limits(rows)),
+            PageSection("parameters", "Parameters and gains of these flights", _parameters(found)),
+            PageSection("unsaid", "What no simulation here says", _not_said(found)),
+            PageSection("repeat", "To repeat", _repeat(found)),
+        ),
+        footer=f"Made by {found['code']}.",
+    )
+
+
+def row_lines(found: Row) -> Iterator[str]:
+    """Yield a line for each row, for a terminal."""
+    rows = found["rows"]
+    if "nominal" in rows:
+        yield f"{TITLES['nominal']:<28}{_kept(rows['nominal'])}"
+    for case, each in _margin_followers(rows):
+        cells = (f"{_case(case)}, {each['name']}", _factor(each), _phase(each))
+        yield f"{cells[0]:<28}{', '.join(cells[1:])}"
+    for name in CONDITIONS:
+        if name in rows:
+            row = rows[name]
+            median = f", median flight breaks at {_breaks(name, row)}" if row.get("breaks") else ""
+            yield f"{TITLES[name]:<28}{_value(name, row)}{median}"
+    for name in (*FAULTS, *OUTAGES):
+        for flight in rows.get(name, {}).get("flights", ()):
+            of = f" of {flight['failed']}" if flight["failed"] else ""
+            does = flight.get("does", {})
+            text = "; ".join(f"{one} {what}" for one, what in does.items())
+            yield f"{TITLES[name] + of:<28}{flight['problem'] or text}"
+
+
+def _head(found: Row) -> str:
+    verdict = found["verdict"]
+    style = {"go": "completed", "no-go": "lost"}.get(verdict, "")
+    out = [f"<h1>{escape(found['scenario'])}</h1>"]
+    if found["question"]:
+        out.append(f'<p class="question">{escape(found["question"])}</p>')
+    flown = " · ".join(map(escape, found["flown"]))
+    out.append(f'<p class="meta"><span class="outcome {style}">{verdict}</span> {flown}</p>')
+    seeds = f"{found['first_seed']} to {found['first_seed'] + found['flights'] - 1}"
+    out.append(
+        f"<p>Flights with {found['flights']} seeds, {seeds}, keep the criteria where nothing else "
+        "is said:</p>"
+    )
+    out.append(f"<ul>{''.join(f'<li>{escape(each)}</li>' for each in found['criteria'])}</ul>")
+    if found["short"]:
+        items = "".join(
+            f"<li><b>{escape(TITLES.get(each['row'], each['row']))}</b>: {escape(each['text'])}</li>"
+            for each in found["short"]
+        )
+        out.append(f"<p><b>Short:</b></p><ul>{items}</ul>")
+    elif verdict == "go":
+        out.append("<p>Nothing is short.</p>")
+    return "".join(out)
+
+
+def _kept(row: Row) -> str:
+    if row.get("problem"):
+        return str(row["problem"])
+    if row["flights"] == 1:
+        return "kept; no seed changes it" if row["kept"] else "not kept; no seed changes it"
+    return f"{row['kept']} of {row['flights']} flights"
+
+
+def _nominal(rows: Row) -> str:
+    row = rows.get("nominal")
+    if row is None:
+        return ""
+    facts = [("criteria kept", _kept(row))]
+    if not row.get("problem"):
+        facts += [
+            ("smallest separation", _number(row["separation_m"], " m, seed ") + _seed(row)),
+            *(
+                (f"largest error, {name}", f"{value:.2f} m RMS")
+                for name, value in row["largest_rms_m"].items()
+            ),
+            ("largest bank of the leader", _number(row["bank_deg"], "°", 0)),
+            ("climb and descent", f"{row['climb_mps']:.1f} and {row['sink_mps']:.1f} m/s"),
+        ]
+    for each in row.get("broken", ()):
+        facts.append((f"seed {each['seed']}", each["why"]))
+    command = row["broken"][0]["command"] if row.get("broken") else row["command"]
+    return rows_to_html(facts) + _command(command)
+
+
+def _seed(row: Row) -> str:
+    return str(row["separation_seed"]) if row["separation_m"] is not None else ""
+
+
+def _number(value: float | None, unit: str, digits: int = 2) -> str:
+    return MISSING if value is None else f"{value:.{digits}f}{unit}"
+
+
+def _case(case: Row) -> str:
+    if case["bank_deg"]:
+        return f"turn, {case['bank_deg']:.0f}°"
+    if case["climb_mps"]:
+        kind = "climb" if case["climb_mps"] > 0 else "descent"
+        return f"{kind}, {abs(case['climb_mps']):.1f} m/s"
+    return "straight"
+
+
+def _margin_followers(rows: Row) -> Iterator[tuple[Row, Row]]:
+    for case in rows.get("margins", {}).get("cases", ()):
+        for each in case.get("followers", ()):
+            yield case, each
+
+
+def _factor(each: Row) -> str:
+    return f"{_limited(each['factor'], 10, 2)} on {each['factor_of']}"
+
+
+def _phase(each: Row) -> str:
+    return f"{_limited(each['phase_deg'], 180, 0)}° on {each['phase_of']}"
+
+
+def _limited(value: float | None, largest: float, digits: int) -> str:
+    return f"> {largest:g}" if value is None else f"{value:.{digits}f}"
+
+
+def _margins(rows: Row) -> str:
+    row = rows.get("margins")
+    if row is None:
+        return ""
+    headings = ("flight", "follower", "damping ratio", "factor", "phase", "latency")
+    body, notes = [], dict[str, None]()
+    for case in row["cases"]:
+        problem = case.get("not_predicted") or case.get("problem")
+        if problem:
+            body.append(_cells(_case(case), f"not predicted: {problem}", "", "", "", ""))
+        if case.get("flown_with"):
+            notes[case["flown_with"]] = None
+        for each in case.get("followers", ()):
+            latency = _limited(each["latency_s"], 1, 2)
+            damping = _limited(each["damping"], 1, 3)
+            body.append(
+                _cells(
+                    *(_case(case), each["name"], damping, _factor(each), _phase(each)),
+                    f"{latency} s",
+                )
+            )
+    text = (
+        "Of each follower the least factor, phase and additional latency of pitch, roll and "
+        "throttle at which its oscillations no longer decay, predicted. A factor below 2 or a "
+        "phase below 30° is short."
+    )
+    note = "".join(f" Flown {escape(each)}." for each in notes)
+    commands = "\n".join(case["command"] for case in row["cases"] if case.get("command"))
+    return f"<p>{text}{note}</p>{text_table_to_html(headings, body)}" + _command(commands)
+
+
+def _cells(*texts: str, short: bool = False) -> str:
+    style = _SHORT_STYLE if short else ""
+    return "".join(f"<td{style}>{escape(text)}</td>" for text in texts)
+
+
+def _value(name: str, row: Row) -> str:
+    if row.get("problem"):
+        return f"not flown: {row['problem']}"
+    if row["value"] is None:
+        return "no value"
+    at_least = "≥ " if row["largest_tried"] else ""
+    resolution = row["resolution"]
+    more = f" − {_in_unit(name, resolution)}" if resolution else ""
+    return f"{at_least}{_in_unit(name, row['value'])}{_UNITS.get(name, ' ×')}" + (
+        f" (± {more.removeprefix(' − ')})" if more else ""
+    )
+
+
+def _breaks(name: str, row: Row) -> str:
+    if row.get("breaks") is None:
+        return MISSING
+    return f"{_in_unit(name, row['breaks'])}{_UNITS.get(name, ' ×')}"
+
+
+def _in_unit(name: str, value: float) -> str:
+    return f"{100.0 * value:.3g}" if name == "loss" else f"{value:.3g}"
+
+
+def _conditions(found: Row) -> str:
+    rows = {name: found["rows"][name] for name in CONDITIONS if name in found["rows"]}
+    if not rows:
+        return ""
+    body, commands = [], []
+    for name, row in rows.items():
+        weakest = row.get("weakest")
+        why = row.get("skipped", "")
+        if weakest:
+            at = f"{_in_unit(name, weakest['value'])}{_UNITS.get(name, ' ×')}"
+            seed = f"seed {weakest['seed']} " if row["seeds"] > 1 else ""
+            why = f"{seed}at {at}: {weakest['why']}"
+            commands.append(f"# {TITLES[name]}: {seed}at {at}\n{weakest['command']}")
+        flights = f"{row['flights']}, {_seeds(row)}" if not row.get("problem") else ""
+        short = row.get("value") is None
+        body.append(
+            _cells(TITLES[name])
+            + _cells(_value(name, row), short=short)
+            + _cells(_breaks(name, row), why, row.get("flown_with", ""), flights)
+        )
+        commands.append(row["command"])
+    headings = (
+        *("condition", "largest with all seeds", "median flight breaks at"),
+        *("what breaks first", "flown with", "flights"),
+    )
+    text = (
+        f"The largest value of each condition alone at which the flights of all "
+        f"{found['flights']} seeds keep the criteria: with 59, 95 % of flights do, with 95 % "
+        "confidence. ± is by how much the value of other seeds may differ, or the step of the "
+        "search. Where no seed changes a flight, one is flown."
+    )
+    return f"<p>{text}</p>{text_table_to_html(headings, body)}" + _command("\n".join(commands))
+
+
+def _seeds(row: Row) -> str:
+    return f"{row['seeds']} seed{'s' * (row['seeds'] != 1)}"
+
+
+def _faults(rows: Row) -> str:
+    body, commands, at = [], [], ""
+    names: list[str] = []
+    for name in (*FAULTS, *OUTAGES):
+        for flight in rows.get(name, {}).get("flights", ()):
+            names = names or list(flight.get("does", {}))
+            at = f"{rows[name]['at_s']:g} s"
+    for name in (*FAULTS, *OUTAGES):
+        row = rows.get(name)
+        if row is None:
+            continue
+        if row.get("problem"):
+            body.append(_cells(TITLES[name], "", f"not flown: {row['problem']}"))
+        for flight in row.get("flights", ()):
+            of = flight["failed"] or ""
+            if flight["problem"]:
+                body.append(_cells(TITLES[name], of, f"not modelled: {flight['problem']}"))
+                continue
+            does = [flight["does"].get(each, "") for each in names]
+            between = " and ".join(flight["between"] or ())
+            separation = _number(flight["separation_m"], f" m, {between}", 1)
+            short = bool(flight["what"])
+            body.append(
+                _cells(TITLES[name], of)
+                + "".join(_cells(each, short="lost" in each) for each in does)
+                + _cells(separation)
+                + _cells(flight["what"], row.get("flown_with", ""), short=short)
+            )
+            commands.append(flight["command"])
+    if not body:
+        return ""
+    headings = ("fault", "of", *names, "smallest separation", "without its cause", "flown with")
+    text = (
+        f"Each fault and outage alone, from {at} to the end, seed {'' or 'of the scenario'}. They "
+        "do not decide the verdict. In the last column but one: what happened to aircraft without "
+        "a fault."
+    )
+    return f"<p>{text}</p>{text_table_to_html(headings, body)}" + _command("\n".join(commands))
+
+
+def _energy(found: Row) -> str:
+    rows = [(each["aircraft"], each["text"]) for each in found["energy"]]
+    return rows_to_html(rows) if rows else ""
+
+
+def _limits(rows: Row) -> str:
+    limits = rows.get("nominal", {}).get("limits", ())
+    if not limits:
+        return ""
+    body = (
+        _cells(
+            each["limit"],
+            each["aircraft"],
+            f"{each['value']:.3g} {each['unit']}",
+            f"{each['bound']:.3g} {each['unit']}",
+            f"{100.0 * each['used']:.0f} %",
+        )
+        for each in limits
+    )
+    headings = ("limit", "aircraft", "in this flight", "limit is", "used")
+    return "<p>Of one flight as in the scenario.</p>" + text_table_to_html(headings, body)
+
+
+def _parameters(found: Row) -> str:
+    out = []
+    for each in found["parameters"]:
+        names = ", ".join(each["aircraft"][:6])
+        out.append(f"<h3>{escape(each['file'])}: {escape(names)}</h3>")
+        link = download_link(each["file"].rpartition("/")[2], "text/plain", each["text"].encode())
+        out.append(f'<p class="screen">{link}</p>')
+        if each["differences"]:
+            items = "".join(f"<li>{escape(text)}</li>" for text in each["differences"])
+            count = len(each["differences"])
+            out.append(
+                f"<details><summary>{count} differ{'s' * (count == 1)} from the aircraft's file"
+                f"</summary><ul>{items}</ul></details>"
+            )
+        else:
+            out.append("<p>As in the aircraft's file.</p>")
+    return "".join(out)
+
+
+def _not_said(found: Row) -> str:
+    return f"<ul>{''.join(f'<li>{escape(each)}</li>' for each in found['not_said'])}</ul>"
+
+
+def _repeat(found: Row) -> str:
+    seconds = f"<p>It took {found['cpu_s']:.0f} s of one processor.</p>"
+    return _command(found["command"]) + seconds
+
+
+def _command(text: str | Sequence[str]) -> str:
+    return f"<pre>{escape(str(text))}</pre>" if text else ""
