@@ -34,6 +34,7 @@ class Condition:
         settings: of a flight with a value above it: of scenario, value and seed.
         flown_with: what of the flights is not the scenario's; "": nothing else.
         nominal: settings of flights at `own`.
+        is_drawn: the settings of each seed have something of their own.
     """
 
     title: str
@@ -44,6 +45,7 @@ class Condition:
     settings: Callable[[Scenario, float, int], list[str]]
     flown_with: Callable[[Scenario], str] = lambda scenario: ""
     nominal: Callable[[Scenario], list[str]] = lambda scenario: []
+    is_drawn: bool = False
 
     def levels(self, scenario: Scenario) -> list[float]:
         """Return the values that are tried: that of the scenario, and larger ones."""
@@ -207,6 +209,7 @@ CONDITIONS: Mapping[str, Condition] = {
         _wind,
         lambda scenario: "each seed with a direction of its own",
         _calm,
+        is_drawn=True,
     ),
     "turbulence": Condition(
         "turbulence: wind at 20 ft",

@@ -125,7 +125,7 @@ def measure_condition(name: str, assessed: Assessed, scenario: Scenario) -> Row:
 
     def seeds() -> Iterator[int]:
         yield first
-        if flights.depends_on_seed:
+        if condition.is_drawn or flights.depends_on_seed:
             yield from assessed.seeds[1:]
 
     found = find_largest(condition.levels(flown), seeds(), keeps)
@@ -145,9 +145,8 @@ def measure_condition(name: str, assessed: Assessed, scenario: Scenario) -> Row:
         "own": condition.own(flown),
         "largest_tried": found.above is None,
         "breaks": found.breaks,
-        "resolution": found.resolution,
+        "others": None if found.others is None else list(found.others),
         "seeds": found.seeds,
-        "all_seeds": len(assessed.seeds) if flights.depends_on_seed else 1,
         "flights": found.flights,
         "weakest": weakest,
         "flown_with": condition.flown_with(flown),

@@ -18,8 +18,9 @@ Keeps: TypeAlias = Callable[[int, float], bool]  # of seed and value
 
 MEDIAN_SEEDS = 9  # of which the median breaking value is found
 COARSE = 14  # levels from one value of the first seed to the next
-# Another set of seeds has another least value. The least of 59 normal values is 2.3 standard
-# deviations below the median, and differs between two sets by 0.64 of them (1 sigma).
+# Another set of seeds has another least value. The least of 59 normal numbers is 2.3 standard
+# deviations below the median, and that of another set differs from it by 0.64 of them (1 sigma):
+# with a confidence of 95 % by this share of the distance to the median.
 SPREAD = 1.96 * 0.64 / 2.3
 
 
@@ -28,6 +29,7 @@ class Found:
     """What a search has found.
 
     Attributes:
+        lowest: the smallest value.
         value: largest at which all seeds keep the criteria; None: one does not at the smallest.
         above: the next larger value that was possible; None: `value` is the largest.
         breaks: smallest value at which the median flight does not keep them; None: none is.
@@ -36,6 +38,7 @@ class Found:
         flights: number of all flights.
     """
 
+    lowest: float
     value: float | None
     above: float | None
     breaks: float | None
@@ -44,13 +47,14 @@ class Found:
     flights: int
 
     @property
-    def resolution(self) -> float:
-        """By how much the value of other seeds may differ, or the step of the search if larger."""
-        low = self.value or 0.0
-        step = 0.0 if self.above is None else self.above - low
-        if self.seeds < 2 or self.breaks is None:
-            return step
-        return max(step, SPREAD * (self.breaks - low))
+    def others(self) -> tuple[float, float] | None:
+        """Between which values that of other seeds is; at least a step of the search either way."""
+        if self.value is None or self.above is None:
+            return None
+        width = self.above - self.value
+        if self.seeds > 1 and self.breaks is not None:
+            width = max(width, SPREAD * (self.breaks - self.value))
+        return max(self.lowest, self.value - width), self.value + width
 
 
 def geometric_levels(lowest: float, low: float, high: float, ratio: float = 1.05) -> list[float]:
@@ -89,6 +93,7 @@ def find_largest(levels: Sequence[float], seeds: Iterable[int], keeps: Keeps) ->
     breaks = flights.median_break(jury, best)
     last = len(levels) - 1
     return Found(
+        lowest=levels[0],
         value=levels[best] if best >= 0 else None,
         above=levels[best + 1] if best < last else None,
         breaks=None if breaks is None else levels[breaks],

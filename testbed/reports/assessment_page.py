@@ -76,13 +76,14 @@ def row_lines(found: Row) -> Iterator[str]:
         if name in rows:
             row = rows[name]
             median = f", median flight breaks at {_breaks(name, row)}" if row.get("breaks") else ""
-            yield f"{TITLES[name]:<28}{_value(name, row)}{median}"
+            other = f" ({_others(name, row)})" if row.get("others") else ""
+            yield f"{TITLES[name]:<28}{_value(name, row)}{other}{median}"
     for name in (*FAULTS, *OUTAGES):
         for flight in rows.get(name, {}).get("flights", ()):
             of = f" of {flight['failed']}" if flight["failed"] else ""
             does = flight.get("does", {})
             text = "; ".join(f"{one} {what}" for one, what in does.items())
-            yield f"{TITLES[name] + of:<28}{flight['problem'] or text}"
+            yield f"{TITLES[name] + of:<27} {flight['problem'] or text}"
 
 
 def _head(found: Row) -> str:
@@ -216,11 +217,13 @@ def _value(name: str, row: Row) -> str:
     if row["value"] is None:
         return "no value"
     at_least = "≥ " if row["largest_tried"] else ""
-    resolution = row["resolution"]
-    more = f" − {_in_unit(name, resolution)}" if resolution else ""
-    return f"{at_least}{_in_unit(name, row['value'])}{_UNITS.get(name, ' ×')}" + (
-        f" (± {more.removeprefix(' − ')})" if more else ""
-    )
+    return f"{at_least}{_in_unit(name, row['value'])}{_UNITS.get(name, ' ×')}"
+
+
+def _others(name: str, row: Row) -> str:
+    if row.get("others") is None:
+        return MISSING
+    return " to ".join(_in_unit(name, each) for each in row["others"])
 
 
 def _breaks(name: str, row: Row) -> str:
@@ -251,18 +254,18 @@ def _conditions(found: Row) -> str:
         body.append(
             _cells(TITLES[name])
             + _cells(_value(name, row), short=short)
-            + _cells(_breaks(name, row), why, row.get("flown_with", ""), flights)
+            + _cells(_others(name, row), _breaks(name, row), why, row.get("flown_with", ""), flights)
         )
         commands.append(row["command"])
     headings = (
-        *("condition", "largest with all seeds", "median flight breaks at"),
+        *("condition", "largest with all seeds", "other seeds", "median flight breaks at"),
         *("what breaks first", "flown with", "flights"),
     )
     text = (
         f"The largest value of each condition alone at which the flights of all "
         f"{found['flights']} seeds keep the criteria: with 59, 95 % of flights do, with 95 % "
-        "confidence. ± is by how much the value of other seeds may differ, or the step of the "
-        "search. Where no seed changes a flight, one is flown."
+        "confidence. Other seeds: between which values that of another set of seeds is, at least a "
+        "step of the search either way. Where no seed changes a flight, one is flown."
     )
     return f"<p>{text}</p>{text_table_to_html(headings, body)}" + _command("\n".join(commands))
 
