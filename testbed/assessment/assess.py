@@ -138,28 +138,28 @@ def _measure(
     if why:
         yield from ((name, _skipped(why, assessed, name)) for name in second if name in CONDITIONS)
         second = [name for name in second if name not in CONDITIONS]
-    parts: dict[str, Any] = {}
     if nominal.get("problem"):
-        second = []
-    for name in second:
-        if name == "margins":
-            for k, (bank, climb) in enumerate(_steady_flights(nominal)):
-                parts[f"margins {k}"] = partial(measure_margins, bank, climb)
-        else:
-            parts[name] = partial(measure_condition, name)
-    margins: dict[str, Row] = {}
+        return
+    steady = list(_steady_flights(nominal)) if "margins" in second else []
+    parts: dict[str, Any] = {
+        f"margins {k}": partial(measure_margins, *flight) for k, flight in enumerate(steady)
+    }
+    parts = {
+        **{name: partial(measure_condition, name) for name in second if name in CONDITIONS},
+        **parts,
+    }
+    cases: dict[int, Row] = {}
     for name, row in _run(pool, assessed, scenario, parts):
         if name in CONDITIONS:
             yield name, row
             continue
-        margins[name] = row
-        if len(margins) == sum(each.startswith("margins") for each in parts):
-            cases = [margins[each] for each in parts if each in margins]
-            for each in cases:
-                if each.get("problem") and "followers" not in each:
-                    each.update(bank_deg=0.0, climb_mps=0.0)
-            cpu_s = sum(each.get("cpu_s", 0.0) for each in cases)
-            yield "margins", {"cases": cases, "command": assessed.command("margins"), "cpu_s": cpu_s}
+        number = int(name.removeprefix("margins "))
+        bank, climb = steady[number]
+        cases[number] = {"bank_deg": bank, "climb_mps": climb, **row}
+        if len(cases) == len(steady):
+            cpu_s = sum(each.get("cpu_s", 0.0) for each in cases.values())
+            found = {"cases": [cases[each] for each in sorted(cases)], "cpu_s": cpu_s}
+            yield "margins", {**found, "command": assessed.command("margins")}
 
 
 def _run(

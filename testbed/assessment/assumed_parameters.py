@@ -34,9 +34,8 @@ class AssumedFile:
 
 def assumed_files(scenario: Scenario, fleet: FormationPlan) -> list[AssumedFile]:
     """Return the autopilot parameters and the gains of the middle loop, equal ones once."""
-    found = [
-        _parameters(scenario, group) for group in _groups([e for e in fleet.aircraft if e.has_model])
-    ]
+    with_models = [each for each in fleet.aircraft if each.has_model]
+    found = [_parameters(scenario, group) for group in _groups(with_models)]
     followers = [each for each in fleet.followers if each.has_model]
     return [*found, *(_gains(scenario, group) for group in _groups(followers))]
 

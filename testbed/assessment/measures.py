@@ -21,12 +21,13 @@ from testbed.linear.predicted_margins import (
     predict_margins,
     worse_prediction,
 )
+from testbed.linear.steady_flight import MarginsError, suitable_banks
 from testbed.metrics.model import Metrics
 from testbed.plan.fleet import resolve
 from testbed.pool.flight_task import COMPLETED, describe_ending
 from testbed.runs.repeated import RepeatedFlights
 from testbed.runs.run import run
-from testbed.scenario import Scenario, set_seed
+from testbed.scenario import Scenario, ScenarioError, set_seed
 
 MAX_NAMED = 3  # seeds that do not keep the criteria, with the reason
 MAX_VICTIMS = 4  # aircraft that fail, one at a time: the leader, and the first followers
@@ -211,7 +212,7 @@ def _fly_case(
         try:
             metrics, why = _Flights(assessed).fly([*common, *settings], seed)
         except InputError as error:
-            refused = str(error).splitlines()[0]
+            refused = error.problems[0].text if isinstance(error, ScenarioError) else str(error)
             continue
         command = assessed.run_command([*common, *settings], seed)
         if metrics is None:
@@ -233,7 +234,7 @@ _EXCEEDED = ("overspeed", "stalled")
 
 
 def _does(metrics: Metrics, name: str, at_s: float) -> str:
-    """Describe what an aircraft does after a fault."""
+    """Describe what an aircraft does after a fault, with its largest distance from its slot."""
     first = {
         each["text"].partition(":")[0]: each["time_s"]
         for each in reversed(metrics["events"])
@@ -242,7 +243,7 @@ def _does(metrics: Metrics, name: str, at_s: float) -> str:
     found = [f"{text} at {first[text]:.0f} s" for text in _EXCEEDED if text in first]
     lost = metrics["lost_at_s"][name]
     if lost is not None:
-        return ", ".join([*found, f"lost at {lost:.0f} s"])
+        return ", ".join([*found, f"lost at {lost:.0f} s"])  # what a page marks
     errors = metrics["windows"][AFTER]["max_error_m"]
     largest, recovery = errors.get(name), metrics["recovery"].get(name)
     if recovery is None:
@@ -251,11 +252,11 @@ def _does(metrics: Metrics, name: str, at_s: float) -> str:
     if largest is None:
         found.append("has no slot")
     elif largest <= IN_SLOT_M:
-        found.append(f"in its slot, at most {largest:.1f} m from it")
+        found.append(f"in slot, {largest:.1f} m")
     elif back is not None:
-        found.append(f"up to {largest:.0f} m from its slot, in it again at {back:.0f} s")
+        found.append(f"back at {back:.0f} s, {largest:.0f} m")
     else:
-        found.append(f"not in its slot any more, up to {largest:.0f} m from it")
+        found.append(f"leaves slot, {largest:.0f} m")
     return ", ".join(found)
 
 
@@ -266,6 +267,7 @@ def measure_margins(
     begun, note, settings = time.process_time(), "", list[str]()
     flown = assessed.scenario()
     try:
+        [bank_deg] = suitable_banks(flown, [bank_deg], asked=False)
         try:
             found = _predict(flown, bank_deg, climb_mps)
         except NotLinearisable:
@@ -275,7 +277,7 @@ def measure_margins(
             found = _predict(quiet, bank_deg, climb_mps)
             note = "with a network that only delays"
             settings = [f"network={{delay_s: {quiet.network.delay_s or 0.0:g}}}"]
-    except NotLinearisable as error:
+    except MarginsError as error:
         return {"bank_deg": bank_deg, "climb_mps": climb_mps, "not_predicted": str(error)}
     return {
         "bank_deg": bank_deg,

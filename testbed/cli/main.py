@@ -84,7 +84,8 @@ _OPTION_PANELS: Final[Mapping[str, Mapping[str, tuple[str, ...]]]] = {
     }
 }
 _WITH_EXIT_CODES: Final = (
-    "demo", "run", "assess", "view", "shot", "check", "compare", "sweep", "tune", "respond", "arduplane",
+    "demo", "run", "assess", "view", "shot", "check", "compare", "sweep", "tune", "respond",
+    "arduplane",
 )  # fmt: skip
 
 

@@ -93,7 +93,9 @@ def describe_ending(metrics: Mapping[str, Any]) -> str:
     outcome = str(metrics["outcome"])
     if describe := {LOST: losses, **dict.fromkeys(EXCEEDED, exceedances)}.get(outcome):
         return f"{outcome}: {', '.join(describe(metrics))}"
-    return "; ".join(f"{bound_key(each)}: {describe_violation(each)}" for each in violations(metrics))
+    return "; ".join(
+        f"{bound_key(each)}: {describe_violation(each)}" for each in violations(metrics)
+    )
 
 
 def run_task(task: FlightTask) -> FlightResult:

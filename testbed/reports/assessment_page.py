@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping
 from html import escape
 from typing import Any
 
@@ -37,6 +38,7 @@ FAULTS = ("engine-out", "gps-lost", "airspeed-blocked", "surface-stuck")
 OUTAGES = ("leader-silent", "radio-cut")
 _UNITS = {"loss": " %", "delay": " s", "wind": " m/s", "turbulence": " m/s"}
 _SHORT_STYLE = ' class="red bold"'
+_LONGEST_LINE, _ONE_LINE, _WIDE = 30, "white-space: nowrap", "min-width: 15rem"
 
 
 def assessment_page(found: Row) -> Page:
@@ -76,13 +78,13 @@ def row_lines(found: Row) -> Iterator[str]:
         if name in rows:
             row = rows[name]
             median = f", median flight breaks at {_breaks(name, row)}" if row.get("breaks") else ""
-            other = f" ({_others(name, row)})" if row.get("others") else ""
+            other = f", other seeds {_others(name, row)}" if row.get("others") else ""
             yield f"{TITLES[name]:<28}{_value(name, row)}{other}{median}"
     for name in (*FAULTS, *OUTAGES):
         for flight in rows.get(name, {}).get("flights", ()):
             of = f" of {flight['failed']}" if flight["failed"] else ""
             does = flight.get("does", {})
-            text = "; ".join(f"{one} {what}" for one, what in does.items())
+            text = "; ".join(f"{one}: {what}" for one, what in does.items())
             yield f"{TITLES[name] + of:<27} {flight['problem'] or text}"
 
 
@@ -102,7 +104,8 @@ def _head(found: Row) -> str:
     out.append(f"<ul>{''.join(f'<li>{escape(each)}</li>' for each in found['criteria'])}</ul>")
     if found["short"]:
         items = "".join(
-            f"<li><b>{escape(TITLES.get(each['row'], each['row']))}</b>: {escape(each['text'])}</li>"
+            f"<li><b>{escape(TITLES.get(each['row'], each['row']))}</b>: "
+            f"{escape(_plain(each['text']))}</li>"
             for each in found["short"]
         )
         out.append(f"<p><b>Short:</b></p><ul>{items}</ul>")
@@ -135,7 +138,7 @@ def _nominal(rows: Row) -> str:
             ("climb and descent", f"{row['climb_mps']:.1f} and {row['sink_mps']:.1f} m/s"),
         ]
     for each in row.get("broken", ()):
-        facts.append((f"seed {each['seed']}", each["why"]))
+        facts.append((f"seed {each['seed']}", _plain(each["why"])))
     command = row["broken"][0]["command"] if row.get("broken") else row["command"]
     return rows_to_html(facts) + _command(command)
 
@@ -207,8 +210,13 @@ def _margins(rows: Row) -> str:
 
 
 def _cells(*texts: str, short: bool = False) -> str:
+    """Make cells; short texts stay on one line, so that a narrow screen scrolls."""
     style = _SHORT_STYLE if short else ""
-    return "".join(f"<td{style}>{escape(text)}</td>" for text in texts)
+    widths = [_ONE_LINE if len(text) <= _LONGEST_LINE else _WIDE for text in texts]
+    return "".join(
+        f'<td{style} style="{width}">{escape(text)}</td>'
+        for text, width in zip(texts, widths, strict=True)
+    )
 
 
 def _value(name: str, row: Row) -> str:
@@ -242,32 +250,41 @@ def _conditions(found: Row) -> str:
         return ""
     body, commands = [], []
     for name, row in rows.items():
-        weakest = row.get("weakest")
-        why = row.get("skipped", "")
+        weakest, why = row.get("weakest"), row.get("skipped", "")
         if weakest:
             at = f"{_in_unit(name, weakest['value'])}{_UNITS.get(name, ' ×')}"
             seed = f"seed {weakest['seed']} " if row["seeds"] > 1 else ""
-            why = f"{seed}at {at}: {weakest['why']}"
-            commands.append(f"# {TITLES[name]}: {seed}at {at}\n{weakest['command']}")
-        flights = f"{row['flights']}, {_seeds(row)}" if not row.get("problem") else ""
-        short = row.get("value") is None
+            why = f"{seed}at {at}: {_plain(weakest['why'])}"
+            commands.append(f"# {TITLES[name]}, {seed}at {at}\n{weakest['command']}")
+        flights = "" if row.get("problem") else f"{row['flights']} of {_seeds(row)}"
         body.append(
             _cells(TITLES[name])
-            + _cells(_value(name, row), short=short)
-            + _cells(_others(name, row), _breaks(name, row), why, row.get("flown_with", ""), flights)
+            + _cells(_value(name, row), short=row.get("value") is None)
+            + _cells(_others(name, row), _breaks(name, row), why)
+            + _cells(row.get("flown_with", ""), flights)
         )
         commands.append(row["command"])
     headings = (
         *("condition", "largest with all seeds", "other seeds", "median flight breaks at"),
         *("what breaks first", "flown with", "flights"),
     )
+    count = found["flights"]
+    share = 100.0 * 0.05 ** (1.0 / count)
     text = (
-        f"The largest value of each condition alone at which the flights of all "
-        f"{found['flights']} seeds keep the criteria: with 59, 95 % of flights do, with 95 % "
-        "confidence. Other seeds: between which values that of another set of seeds is, at least a "
-        "step of the search either way. Where no seed changes a flight, one is flown."
+        f"The largest value of each condition alone at which the flights of all {count} seeds keep "
+        f"the criteria: {share:.0f} % of all flights do, with 95 % confidence. Other seeds: "
+        "between which values that of another set of seeds is, at least a step of the search "
+        "either way. Where no seed changes a flight, one is flown."
     )
     return f"<p>{text}</p>{text_table_to_html(headings, body)}" + _command("\n".join(commands))
+
+
+_KEY = re.compile(r"expect\.(\w+)[\w.-]*: ")  # of a violated bound
+
+
+def _plain(why: str) -> str:
+    """Return why a flight does not keep its criteria, of bounds with the quantity alone."""
+    return _KEY.sub(r"\1: ", why)
 
 
 def _seeds(row: Row) -> str:
@@ -275,43 +292,44 @@ def _seeds(row: Row) -> str:
 
 
 def _faults(rows: Row) -> str:
-    body, commands, at = [], [], ""
-    names: list[str] = []
-    for name in (*FAULTS, *OUTAGES):
-        for flight in rows.get(name, {}).get("flights", ()):
-            names = names or list(flight.get("does", {}))
-            at = f"{rows[name]['at_s']:g} s"
-    for name in (*FAULTS, *OUTAGES):
-        row = rows.get(name)
-        if row is None:
-            continue
+    found = [(name, rows[name]) for name in (*FAULTS, *OUTAGES) if name in rows]
+    if not found:
+        return ""
+    flights = [flight for _, row in found for flight in row.get("flights", ())]
+    names = next((list(each["does"]) for each in flights if "does" in each), [])
+    body, commands, notes = [], [], []
+    for name, row in found:
         if row.get("problem"):
             body.append(_cells(TITLES[name], "", f"not flown: {row['problem']}"))
+        if row.get("flown_with"):
+            notes.append(f"{TITLES[name]}: {row['flown_with']}.")
         for flight in row.get("flights", ()):
-            of = flight["failed"] or ""
             if flight["problem"]:
-                body.append(_cells(TITLES[name], of, f"not modelled: {flight['problem']}"))
+                body.append(
+                    _cells(TITLES[name], flight["failed"], f"not flown: {flight['problem']}")
+                )
                 continue
             does = [flight["does"].get(each, "") for each in names]
             between = " and ".join(flight["between"] or ())
             separation = _number(flight["separation_m"], f" m, {between}", 1)
-            short = bool(flight["what"])
             body.append(
-                _cells(TITLES[name], of)
+                _cells(TITLES[name], flight["failed"])
                 + "".join(_cells(each, short="lost" in each) for each in does)
                 + _cells(separation)
-                + _cells(flight["what"], row.get("flown_with", ""), short=short)
+                + _cells(flight["what"], short=True)
             )
             commands.append(flight["command"])
-    if not body:
-        return ""
-    headings = ("fault", "of", *names, "smallest separation", "without its cause", "flown with")
+    headings = ("fault", "of", *names, "smallest separation", "aircraft without a fault")
+    at_s = next((row["at_s"] for _, row in found if "at_s" in row), 0.0)
     text = (
-        f"Each fault and outage alone, from {at} to the end, seed {'' or 'of the scenario'}. They "
-        "do not decide the verdict. In the last column but one: what happened to aircraft without "
-        "a fault."
+        f"Each fault and each outage alone, from {at_s:g} s to the end, one flight. They do not "
+        "decide the verdict. Metres are the largest distance from the slot after the beginning; "
+        "back: within 5 m of it again."
     )
-    return f"<p>{text}</p>{text_table_to_html(headings, body)}" + _command("\n".join(commands))
+    note = escape(" ".join(["", *notes]))
+    return f"<p>{text}{note}</p>{text_table_to_html(headings, body)}" + _command(
+        "\n".join(commands)
+    )
 
 
 def _energy(found: Row) -> str:
@@ -362,8 +380,12 @@ def _not_said(found: Row) -> str:
 
 def _repeat(found: Row) -> str:
     seconds = f"<p>It took {found['cpu_s']:.0f} s of one processor.</p>"
-    return _command(found["command"]) + seconds
+    return f"<pre>{escape(found['command'])}</pre>{seconds}"
 
 
-def _command(text: str | Sequence[str]) -> str:
-    return f"<pre>{escape(str(text))}</pre>" if text else ""
+def _command(text: str) -> str:
+    if not text:
+        return ""
+    lines = text.count("\n") + 1
+    summary = "Command" if lines == 1 else "Commands"
+    return f"<details><summary>{summary}</summary><pre>{escape(text)}</pre></details>"

@@ -1,0 +1,146 @@
+"""The command assess: its rows, page, exit code, and how it goes on after an interruption."""
+
+import contextlib
+import json
+import shlex
+
+import pytest
+from commands import call_command
+
+import testbed.assessment.assess as module
+from testbed.assessment import conditions
+from testbed.assessment.assess import ROWS
+from testbed.assessment.conditions import CONDITIONS
+from testbed.pool.flight_task import run_task
+from testbed.reports.assessment_page import TITLES
+
+FLIGHT = ("assess", "ideal-figure-eight", "--duration", "30", "--flights", "2")
+BOUNDS = ("--set", "expect.rms_m.max=47")
+
+
+class Here:
+    """A pool that flies in this process, up to a number of rows."""
+
+    def __init__(self):
+        self.flown, self.most = [], 1000
+
+    def run(self, tasks):
+        for task in tasks:
+            if len(self.flown) == self.most:
+                raise KeyboardInterrupt
+            self.flown.append(task)
+            yield run_task(task)
+
+
+@pytest.fixture
+def pool(monkeypatch):
+    here = Here()
+    monkeypatch.setattr(module, "open_flight_pool", lambda **_: contextlib.nullcontext(here))
+    # few levels: how the value is found is tested with the search
+    monkeypatch.setattr(conditions, "geometric_levels", lambda *ends: list(ends))
+    return here
+
+
+def assess(folder, *words, code=0, flight=FLIGHT):
+    words = (*flight, *words, "--out", folder / "found")
+    return call_command(*words, cwd=folder, code=code, columns=120)
+
+
+def written(folder):
+    return json.loads((folder / "found" / "assessment.json").read_text())
+
+
+def without_times(document):
+    text = json.dumps(document)
+    found = json.loads(text, object_hook=lambda each: {k: each[k] for k in each if k != "cpu_s"})
+    return {key: value for key, value in found.items() if key != "command"}
+
+
+def test_a_page_has_all_rows(tmp_path, pool):
+    done = assess(tmp_path, *BOUNDS)
+    found = written(tmp_path)
+    page = (tmp_path / "found" / "assessment.html").read_text()
+    assert list(found["rows"]) == list(ROWS)
+    assert (found["verdict"], found["short"]) == ("go", [])
+    assert "go" in done.stdout
+    for name in ROWS:
+        assert TITLES[name] in page or name == "nominal"
+    for name in CONDITIONS:
+        row = found["rows"][name]
+        assert row["value"] is not None
+        assert "testbed assess ideal-figure-eight --set expect.rms_m.max=47" in row["command"]
+        assert row["seeds"] in (1, 2)
+    assert found["rows"]["delay"]["seeds"] == 1
+    assert found["rows"]["wind"]["seeds"] == 2
+    assert "no roll command" in found["rows"]["margins"]["cases"][0]["not_predicted"]
+    for flight in found["rows"]["gps-lost"]["flights"]:
+        assert list(flight["does"]) == ["leader", "uav1", "uav2", "uav3"]
+    assert "no flight model" in found["rows"]["engine-out"]["flights"][0]["problem"]
+
+
+def test_the_flight_that_breaks_is_repeated_by_its_command(tmp_path, pool):
+    assess(tmp_path, *BOUNDS, "--only", "delay")
+    row = written(tmp_path)["rows"]["delay"]
+    words = [*shlex.split(row["weakest"]["command"])[1:], "--quiet"]
+    at = words.index(f"network.delay_s={row['weakest']['value']:g}")
+    done = call_command(*words, "--out", tmp_path / "broken", cwd=tmp_path, code=3, columns=200)
+    assert row["weakest"]["why"].split("; ")[0] in done.stderr + done.stdout
+    words[at] = f"network.delay_s={row['value']:g}"
+    call_command(*words, "--out", tmp_path / "kept", cwd=tmp_path, code=0, columns=200)
+    assert written(tmp_path)["verdict"] == "incomplete"
+
+
+def test_a_bound_too_tight_is_a_nominal_row(tmp_path, pool):
+    assess(tmp_path, "--set", "expect.rms_m.max=1", code=3)
+    found = written(tmp_path)
+    assert found["verdict"] == "no-go"
+    assert found["short"][0]["row"] == "nominal"
+    assert "expect.rms_m.max: uav1" in found["short"][0]["text"]
+    assert {found["rows"][name]["flights"] for name in CONDITIONS} == {0}
+    assert {each["row"] for each in found["short"]} == {"nominal", *CONDITIONS}
+
+
+def test_an_interrupted_assessment_goes_on(tmp_path, pool):
+    rows = ("nominal", "loss", "delay", "leader-silent", "radio-cut")
+    only = [word for name in rows for word in ("--only", name)]
+    for name in ("whole", "cut"):
+        (tmp_path / name).mkdir()
+    assess(tmp_path / "whole", *BOUNDS, *only)
+    assert len(pool.flown) == len(rows)
+    pool.flown, pool.most = [], 3
+    done = assess(tmp_path / "cut", *BOUNDS, *only, code=130)
+    assert "write --resume" in done.stderr
+    kept = {path.stem for path in (tmp_path / "cut" / "found" / "rows").iterdir()}
+    assert len(kept) == 3
+    pool.flown, pool.most = [], 1000
+    assess(tmp_path / "cut", *BOUNDS, *only, "--resume")
+    assert len(pool.flown) == len(rows) - 3
+    both = written(tmp_path / "whole"), written(tmp_path / "cut")
+    assert without_times(both[0]) == without_times(both[1])
+    pool.flown = []
+    done = assess(tmp_path / "cut", *BOUNDS, *only, "--resume")
+    assert (pool.flown, done.stderr.count(": kept")) == ([], len(rows))
+
+
+def test_rows_of_a_changed_scenario_are_found_anew(tmp_path, pool):
+    only = ("--only", "nominal", "--only", "delay")
+    assess(tmp_path, *BOUNDS, *only)
+    before, pool.flown = written(tmp_path), []
+    assess(tmp_path, "--set", "expect.rms_m.max=46", *only, "--resume")
+    assert len(pool.flown) == 2
+    assert written(tmp_path)["rows"]["delay"] != before["rows"]["delay"]
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (("--only", "los"), "--only los: write one of nominal, margins, loss"),
+        (("--flights", "0"), "--flights 0: write a whole number above 0"),
+        (("--resume",), "there is no such folder to resume"),
+        (("--set", "leader.autopilot=ardupilot"), "leader.autopilot"),
+    ],
+)
+def test_wrong_words_are_refused(tmp_path, pool, words, text):
+    done = assess(tmp_path, *words, code=2)
+    assert text in done.stderr
+    assert pool.flown == []
