@@ -95,7 +95,7 @@ def assess(
     check_assessable(scenario)
     assessed.criteria()
     digest = inputs_digest(assessed, scenario)
-    store = _Rows(folder, digest)
+    store = _StoredRows(folder, digest)
     wanted = [name for name in ROWS if not only or name in only]
     rows = {name: row for name in ROWS if (row := store.read(name)) is not None}
     for name in rows:
@@ -241,7 +241,7 @@ def inputs_digest(assessed: Assessed, scenario: Scenario) -> str:
     return hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()[:16]
 
 
-class _Rows:
+class _StoredRows:
     """The rows in a folder, with what they depend on."""
 
     def __init__(self, folder: Path, digest: str) -> None:

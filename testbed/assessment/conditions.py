@@ -22,7 +22,7 @@ _POSITION_KEYS = ("noise_m", "velocity_noise_mps", "shared_drift_m", "own_drift_
 
 
 @dataclass(frozen=True, slots=True)
-class Condition:
+class VariedCondition:
     """A condition of which the largest value is found.
 
     Attributes:
@@ -181,8 +181,8 @@ def _airspeed_of(scenario: Scenario) -> str:
     return f"airspeed sensors of {PRESET}, as the scenario has exact ones"
 
 
-CONDITIONS: Mapping[str, Condition] = {
-    "loss": Condition(
+CONDITIONS: Mapping[str, VariedCondition] = {
+    "loss": VariedCondition(
         "lost messages",
         "share",
         0.01,
@@ -192,7 +192,7 @@ CONDITIONS: Mapping[str, Condition] = {
         lambda s: "independent losses in place of the scenario's" if _bursts(s) else "",
         lambda s: _of_links(s, "loss", 0.0) if _bursts(s) else [],
     ),
-    "delay": Condition(
+    "delay": VariedCondition(
         "delay of messages",
         "s",
         0.005,
@@ -200,7 +200,7 @@ CONDITIONS: Mapping[str, Condition] = {
         lambda scenario: scenario.network.delay_s or 0.0,
         lambda scenario, value, seed: _of_links(scenario, "delay_s", value),
     ),
-    "wind": Condition(
+    "wind": VariedCondition(
         "wind",
         "m/s",
         0.5,
@@ -211,7 +211,7 @@ CONDITIONS: Mapping[str, Condition] = {
         _calm,
         is_drawn=True,
     ),
-    "turbulence": Condition(
+    "turbulence": VariedCondition(
         "turbulence: wind at 20 ft",
         "m/s",
         0.5,
@@ -220,7 +220,7 @@ CONDITIONS: Mapping[str, Condition] = {
         _turbulence,
         lambda s: f"model {TURBULENCE}" if s.air.turbulence.model == "none" else "",
     ),
-    "gps": Condition(
+    "gps": VariedCondition(
         "errors of GPS",
         "times",
         1.05,
@@ -230,7 +230,7 @@ CONDITIONS: Mapping[str, Condition] = {
         _gps_of,
         sensor_settings,
     ),
-    "airspeed": Condition(
+    "airspeed": VariedCondition(
         "errors of airspeed",
         "times",
         1.05,

@@ -78,7 +78,7 @@ def find_largest(levels: Sequence[float], seeds: Iterable[int], keeps: Keeps) ->
         keeps: whether the flight of a seed at a value keeps the criteria. It is called once for
             each.
     """
-    flights = _Flights(levels, keeps)
+    flights = _SeedFlights(levels, keeps)
     remaining = iter(seeds)
     first = next(remaining)
     best, weakest, flown = flights.scan_up(first), first, [first]
@@ -103,7 +103,7 @@ def find_largest(levels: Sequence[float], seeds: Iterable[int], keeps: Keeps) ->
     )
 
 
-class _Flights:
+class _SeedFlights:
     """Flights by seed and index of the level, each flown once."""
 
     def __init__(self, levels: Sequence[float], keeps: Keeps) -> None:

@@ -93,6 +93,7 @@ GROUPS = (
             "golden": "logs metrics plan pool runs scenario",
             "studies": "linear logs metrics plan pool runs scenario",
             "tuning": "linear logs metrics pool scenario studies",
+            "assessment": "autopilot flight linear metrics plan pool runs scenario",
         },
         "core scenario models links record flight analysis",
     ),

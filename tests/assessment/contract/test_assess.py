@@ -78,7 +78,7 @@ def test_a_page_has_all_rows(tmp_path, pool):
     assert "no flight model" in found["rows"]["engine-out"]["flights"][0]["problem"]
 
 
-def test_the_flight_that_breaks_is_repeated_by_its_command(tmp_path, pool):
+def test_a_flight_that_breaks_has_its_command(tmp_path, pool):
     assess(tmp_path, *BOUNDS, "--only", "delay")
     row = written(tmp_path)["rows"]["delay"]
     words = [*shlex.split(row["weakest"]["command"])[1:], "--quiet"]

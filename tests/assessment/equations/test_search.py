@@ -54,7 +54,7 @@ def test_median_breaks_within_a_level(number):
 
 
 def test_a_search_that_lowers_nothing_is_found(monkeypatch):
-    monkeypatch.setattr(search._Flights, "search_down", lambda self, seed, failed: failed)
+    monkeypatch.setattr(search._SeedFlights, "search_down", lambda self, seed, failed: failed)
     formation = Formation(drawn(1))
     assert formation.search().value != largest_below(min(formation.breaking.values()))
 

@@ -9,10 +9,12 @@ from testbed.metrics.document import BOUND_VIOLATED
 
 WALL_CLOCK = ("wall_s", "real_time_factor")
 STOP = "limits.on_violation=stop"
+PUBLISHED, WINDOW = "scenario.published=null", "scenario.windows={late: [20, 65]}"
+BROKEN = [PUBLISHED, WINDOW, "expect.max_error_m.max=0.01", STOP]
 
 
 def fly(*overrides, duration_s=70.0):
-    settings = ["scenario.published=null", "scenario.windows={late: [20, 65]}", *overrides]
+    settings = [PUBLISHED, WINDOW, *overrides]
     return testbed.Batch("simulation-3", settings, duration_s=duration_s, threads=1).run()[0]
 
 
@@ -74,8 +76,8 @@ def test_a_number_that_may_still_change_ends_nothing(quantity, side):
     assert metrics["expect"]["violated"]
 
 
-def test_run_ends_with_the_code_of_an_unexpected_number(tmp_path):
-    settings = ["scenario.published=null", "expect.max_error_m.max=0.01", STOP, "log.mcap=false"]
+def test_run_ends_with_the_code_of_a_violation(tmp_path):
+    settings = [*BROKEN, "log.mcap=false"]
     run = testbed.run("simulation-3", settings, duration_s=90.0, out=tmp_path / "run")
     assert (run.outcome, run.exit_code) == (BOUND_VIOLATED, 3)
     written = json.loads((tmp_path / "run" / "metrics.json").read_text())
@@ -84,8 +86,7 @@ def test_run_ends_with_the_code_of_an_unexpected_number(tmp_path):
 
 
 def test_a_simulation_ends_and_begins_again():
-    settings = ["scenario.published=null", "expect.max_error_m.max=0.01", STOP]
-    with testbed.Simulation("simulation-3", settings, duration_s=90.0) as simulation:
+    with testbed.Simulation("simulation-3", BROKEN, duration_s=90.0) as simulation:
         for _ in range(2):
             simulation.reset()
             while simulation.outcome is None:
@@ -100,7 +101,7 @@ def test_a_limit_exceeded_before_is_the_outcome():
 
 
 def test_a_batch_returns_to_its_start():
-    settings = ["scenario.published=null", "expect.max_error_m.max=0.01", STOP, "network.loss=0.2"]
+    settings = [*BROKEN, "network.loss=0.2"]
     batch = testbed.Batch("simulation-3", settings, duration_s=90.0, threads=1)
     (first,) = batch.run()
     for seed in (2, 1):
