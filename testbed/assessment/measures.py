@@ -36,7 +36,7 @@ AFTER = "after_fault"  # window
 Row = dict[str, Any]
 
 
-class _RowFlights:
+class RowFlights:
     """Flights of one row; the last one is kept for other seeds."""
 
     def __init__(self, assessed: Assessed) -> None:
@@ -61,7 +61,7 @@ class _RowFlights:
 def measure_nominal(assessed: Assessed, scenario: Scenario) -> Row:
     """Fly a scenario as it is with all seeds, or once where no seed changes it."""
     begun = time.process_time()
-    flights, criteria = _RowFlights(assessed), assessed.criteria()
+    flights, criteria = RowFlights(assessed), assessed.criteria()
     separation, rms = (math.inf, 0), dict[str, float]()
     broken = list[tuple[int, str]]()
     flown = 0
@@ -114,7 +114,7 @@ def _finite(value: float) -> float | None:
 def measure_condition(name: str, assessed: Assessed, scenario: Scenario) -> Row:
     """Find the largest value of a condition at which the flights of all seeds keep the criteria."""
     begun = time.process_time()
-    condition, flights, criteria = CONDITIONS[name], _RowFlights(assessed), assessed.criteria()
+    condition, flights, criteria = CONDITIONS[name], RowFlights(assessed), assessed.criteria()
     flown, first = assessed.scenario(), assessed.seeds[0]
     reasons: dict[tuple[int, float], str] = {}
 
@@ -210,7 +210,7 @@ def _fly_case(
     seed, refused = assessed.seeds[0], ""
     for settings in tried:
         try:
-            metrics, why = _RowFlights(assessed).fly([*common, *settings], seed)
+            metrics, why = RowFlights(assessed).fly([*common, *settings], seed)
         except InputError as error:
             refused = error.problems[0].text if isinstance(error, ScenarioError) else str(error)
             continue
