@@ -62,6 +62,12 @@ PARTS = (
         "TESTBED_MARGINS=1 pytest tests/linear/equations/test_linear_system.py",
     ),
     Part(
+        "assessments of Simulation 3 beside fresh seeds, and weaknesses in their rows",
+        "3 times 59 seeds",
+        "TESTBED_ASSESSMENT=1 pytest tests/assessment/truth/test_assessed_formations.py",
+        parallel=False,
+    ),
+    Part(
         "functions and components of compiled models against JSBSim",
         "all, 100,000 arguments each",
         "TESTBED_LITERALS=100000 pytest tests/compiled/equations/test_compiled_literals.py",

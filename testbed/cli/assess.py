@@ -79,15 +79,10 @@ def assess_command(
     Writes assessment.html, assessment.json, the rows and the parameters to the folder. The exit
     code is 0 for go, and 3 for no-go.
     """
-    from testbed.assessment.assess import (
-        DOCUMENT,
-        assess,
-        row_names,
-        write_parameters,
-    )
+    from testbed.assessment.assess import DOCUMENT, assess, row_names, write_parameters
     from testbed.assessment.assessed import FLIGHTS, Assessed
     from testbed.core.files import report_write_errors
-    from testbed.logs.file_record import record_files
+    from testbed.logs.file_record import check_folder_output, record_files
     from testbed.reports import write_page
     from testbed.reports.assessment_page import assessment_page
     from testbed.scenario import open_scenario
@@ -105,6 +100,7 @@ def assess_command(
         )
         name = assessed.scenario().name
         folder = find_folder(name, out, resume=resume)
+        check_folder_output(folder, (PAGE, DOCUMENT), "assess")
         try:
             found = assess(
                 assessed,

@@ -111,7 +111,20 @@ def _head(found: Row) -> str:
         out.append(f"<p><b>Short:</b></p><ul>{items}</ul>")
     elif verdict == "go":
         out.append("<p>Nothing is short.</p>")
+    if harmful := list(_harmful(found["rows"])):
+        out.append(
+            f"<p><b>Faults that harm aircraft without a fault:</b> {escape(', '.join(harmful))}; "
+            '<a href="#faults">below</a>.</p>'
+        )
     return "".join(out)
+
+
+def _harmful(rows: Row) -> Iterator[str]:
+    """Name the faults and outages after which aircraft without a fault are lost, or too far."""
+    for name in (*FAULTS, *OUTAGES):
+        for flight in rows.get(name, {}).get("flights", ()):
+            if flight.get("what"):
+                yield f"{TITLES[name]} of {flight['failed']}" if flight["failed"] else TITLES[name]
 
 
 def _kept(row: Row) -> str:
