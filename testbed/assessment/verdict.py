@@ -33,19 +33,17 @@ def _of_row(name: str, row: Row) -> Iterator[str]:
     elif name == "nominal":
         if row["kept"] < row["flights"]:
             first = row["broken"][0]
-            flights = f"{row['kept']} of {row['flights']} flights" if row["flights"] > 1 else "not"
-            yield f"{flights} as it should be: seed {first['seed']}: {first['why']}"
+            kept = f"{row['kept']} of {row['flights']} flights keep the criteria"
+            yield f"{kept}; seed {first['seed']}: {first['why']}"
     elif name == "margins":
         for case in row["cases"]:
             yield from _of_margins(case)
-    elif name in CONDITIONS and row["value"] is None:
+    elif name in CONDITIONS and row["value"] is None and not row.get("skipped"):
         yield f"no value: {no_value(row)}"
 
 
 def no_value(row: Row) -> str:
     """Return why a condition has no value."""
-    if row.get("skipped"):
-        return str(row["skipped"])
     weakest = row["weakest"]
     with_what = f" ({row['flown_with']})" if row["flown_with"] else ""
     return f"seed {weakest['seed']} at {weakest['value']:g}{with_what}: {weakest['why']}"

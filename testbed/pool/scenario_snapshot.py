@@ -19,7 +19,7 @@ from testbed.scenario.yaml_io import plain, read
 
 # keys of `scenario` that change no number, and the seed, which is stored separately
 _LEFT_OUT = ("question", "expectation", "published", "name", "seed")
-_NO_NUMBERS = ("log", "expect")  # sections that change no number
+_NO_NUMBERS = ("log", "expect")  # sections that change no number, but see `snapshot`
 _NAME, _VALUE = 5, 3  # characters of `key_digests`
 
 
@@ -52,6 +52,8 @@ def read_inputs(scenario: Scenario, folder: Path) -> Inputs:
 def snapshot(scenario: Scenario, folder: Path, *, defaults: bool = True) -> dict[str, Any]:
     """Return the resolved scenario without keys that change no number.
 
+    Bounds of `expect` change numbers of flights that `limits.on_violation: stop` ends.
+
     Args:
         scenario: resolved.
         folder: of its file; paths in the snapshot are relative to it.
@@ -60,8 +62,12 @@ def snapshot(scenario: Scenario, folder: Path, *, defaults: bool = True) -> dict
     data: dict[str, Any] = scenario.model_dump(
         mode="json", by_alias=True, exclude_defaults=not defaults
     )
+    ends_early = scenario.limits.on_violation == "stop"
     for key in _NO_NUMBERS:
-        data.pop(key, None)
+        if not (key == "expect" and ends_early):
+            data.pop(key, None)
+    if not ends_early:
+        data.get("limits", {}).pop("on_violation", None)
     data["scenario"] = {k: v for k, v in data["scenario"].items() if k not in _LEFT_OUT}
     result: dict[str, Any] = _with_relative_paths(data, folder.resolve())
     return result

@@ -1,0 +1,21 @@
+"""What of a scenario decides its numbers."""
+
+from pathlib import Path
+
+from testbed.pool.scenario_snapshot import snapshot
+from testbed.scenario import load_scenario
+
+BOUND, STOP = "expect.max_error_m.max=9", "limits.on_violation=stop"
+
+
+def of(*overrides):
+    return snapshot(load_scenario("ideal-figure-eight", overrides), Path())
+
+
+def test_bounds_count_where_they_end_a_flight():
+    assert of(BOUND) == of()
+    assert "on_violation" not in of()["limits"]
+    stopped = of(BOUND, STOP)
+    assert stopped["limits"]["on_violation"] == "stop"
+    assert stopped["expect"] == {"max_error_m": {"max": 9.0}}
+    assert stopped != of(STOP) != of()
