@@ -283,7 +283,7 @@ def _fly(
     return Run(loaded, cast("Metrics", metrics), directory)
 
 
-def stop_bounds(scenario: Scenario) -> dict[str, Any]:
+def stop_bounds(scenario: Scenario | SingleAircraft) -> dict[str, Any]:
     """Return the bounds of a scenario that end a flight when they are violated."""
     return scenario.expect.model_dump() if scenario.limits.on_violation == "stop" else {}
 
