@@ -120,8 +120,18 @@ def sweep_command(
             messages.write_line(f"warning: run {each['run']}: {each['error']}")
         if more := _bad(result) - len(summary.failures):
             messages.write_line(f"warning: … and {more} more")
-    passed = ExitCode.DIFFERENT if result.unexpected else ExitCode.OK
-    raise typer.Exit(passed if result.completed else ExitCode.AIRCRAFT_LOST)
+    raise typer.Exit(_exit_code(result))
+
+
+def _exit_code(result: SweepResult) -> ExitCode:
+    from testbed.metrics.document import BOUND_VIOLATED
+    from testbed.pool.flight_task import COMPLETED
+
+    ended = {outcome for outcome, count in result.outcomes.items() if count}
+    if ended - {COMPLETED, BOUND_VIOLATED}:
+        return ExitCode.AIRCRAFT_LOST
+    violated = result.unexpected or BOUND_VIOLATED in ended
+    return ExitCode.DIFFERENT if violated else ExitCode.OK
 
 
 def _print_summary(result: SweepResult, summary: Summary, console: PipeSafeConsole) -> None:

@@ -128,6 +128,20 @@ def test_sweep_violated_bound_exits_3_with_its_line(folder):
     assert failure["run"] == 0 and failure["command"].startswith("testbed run mine.yaml --set")
 
 
+def test_sweep_of_flights_that_end_early_exits_3(folder):
+    (folder / "early.yaml").write_text(
+        "study: {schema: 1, name: early, scenario: mine.yaml, set: {log.mcap: false, "
+        "scenario.duration_s: 60, limits.on_violation: stop}}\n"
+        "vary: {expect.rms_m.circles.uav2.max: [0.001, 1]}\n"
+    )
+    words = ("sweep", "early.yaml", "--out", "early", "--json", "early.json")
+    with in_this_process():
+        call_command(*words, cwd=folder, code=DIFFERENT, columns=100)
+    found = json.loads((folder / "early.json").read_text())
+    assert (found["outcomes"]["completed"], found["outcomes"]["bound_violated"]) == (1, 1)
+    assert found["failures"][0]["error"].startswith("expect.rms_m.circles.uav2.max: uav2")
+
+
 def test_shorter_run_warns_of_bounds_it_does_not_check(folder):
     whole = load_scenario(folder / "mine.yaml")
     assert unchecked_bounds(whole, 14.0) == []

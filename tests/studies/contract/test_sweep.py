@@ -327,6 +327,7 @@ def test_sweep_failed_runs_are_rows_and_exit_1(workers, tmp_path):
         "envelope_exceeded": 0,
         "formation_lost": 0,
         "separation_lost": 0,
+        "bound_violated": 0,
         "failed": 1,
         "invalid": 1,
     }
