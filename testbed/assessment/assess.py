@@ -32,6 +32,7 @@ from testbed.pool.flight_code import describe_code, flight_code
 from testbed.pool.flight_pool import FlightPool, open_flight_pool
 from testbed.pool.flight_task import COMPLETED, FlightTask
 from testbed.pool.scenario_snapshot import snapshot
+from testbed.runs.bounds import unchecked_bounds
 from testbed.scenario import Scenario
 from testbed.scenario.aircraft import ArduPlane, External
 
@@ -94,6 +95,9 @@ def assess(
     scenario = assessed.scenario()
     check_assessable(scenario)
     assessed.criteria()
+    whole = assessed.file.resolve(assessed.overrides)
+    for line in unchecked_bounds(whole, scenario.scenario.duration_s):
+        report(f"warning: {line}")
     digest = inputs_digest(assessed, scenario)
     store = _StoredRows(folder, digest)
     wanted = [name for name in ROWS if not only or name in only]

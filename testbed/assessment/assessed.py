@@ -10,6 +10,7 @@ from testbed.metrics.expectations import compares_flights
 from testbed.plan.fleet import resolve
 from testbed.scenario import Scenario, ScenarioFile, set_duration, set_seed
 from testbed.scenario.arguments import with_changes
+from testbed.scenario.schema import SECOND_HALF
 from testbed.scenario.set_keys import SetKeys
 
 FLIGHTS = 59  # all of which keep the criteria: 95 % do, with 95 % confidence, 0.95^59 < 0.05
@@ -69,8 +70,13 @@ class Assessed:
             for each in resolve(scenario).aircraft
             if each.row or scenario.leader.path.kind != "virtual"
         ]
-        end_s = scenario.scenario.duration_s
-        window = () if scenario.scenario.windows else (_window("second_half", end_s / 2.0, end_s),)
+        # without a window that the flight reaches its bounds would be dropped with it
+        own, end_s = (
+            self.file.resolve(self.overrides).scenario.windows,
+            scenario.scenario.duration_s,
+        )
+        reached = any(start_s < end_s for start_s, _ in own.values())
+        window = () if reached else (_window(SECOND_HALF, end_s / 2.0, end_s),)
         return (
             *window,
             f"expect.rms_m.max={MAX_RMS_M:g}",
