@@ -71,10 +71,8 @@ class Assessed:
             if each.row or scenario.leader.path.kind != "virtual"
         ]
         # without a window that the flight reaches its bounds would be dropped with it
-        own, end_s = (
-            self.file.resolve(self.overrides).scenario.windows,
-            scenario.scenario.duration_s,
-        )
+        end_s = scenario.scenario.duration_s
+        own = self.file.resolve(self.overrides).scenario.windows
         reached = any(start_s < end_s for start_s, _ in own.values())
         window = () if reached else (_window(SECOND_HALF, end_s / 2.0, end_s),)
         return (

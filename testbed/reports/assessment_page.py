@@ -269,7 +269,7 @@ def _conditions(found: Row) -> str:
             seed = f"seed {weakest['seed']} " if row["seeds"] > 1 else ""
             why = f"{seed}at {at}: {_plain(weakest['why'])}"
             commands.append(f"# {TITLES[name]}, {seed}at {at}\n{weakest['command']}")
-        flights = "" if row.get("problem") else f"{row['flights']} of {_seeds(row)}"
+        flights = f"{row['flights']} of {_seeds(row)}" if row.get("flights") else "none"
         body.append(
             _cells(TITLES[name])
             + _cells(_value(name, row), short=row.get("value") is None)
