@@ -38,7 +38,7 @@ class FlightExtremes(BlockObserver):
         """Start with the next sample."""
         self._rate_hz = info.base_rate_hz
         self.charge = np.full((2, len(info.names)), math.nan)
-        self._begin_blocks(len(info.names))
+        self._begin_blocks(info)
 
     def add_events(self, events: Sequence[Event]) -> None:
         """Do nothing."""
