@@ -16,6 +16,7 @@ from testbed.views.panels import Panel, PanelGrid
 TEXT_PT, PAPER_TEXT_PT = 12.0, 8.0  # of figures; of those with a width
 MIN_PANEL_IN = 2.9  # width of a panel of a paper, below which panels stand in one column
 MAX_HEIGHT_IN = 9.0  # of the same, so that it is no longer than a page
+LEAST_HEIGHT_IN = 0.8  # of a panel of it
 TITLES_IN = 0.8  # height of title and subtitle with text of 12 points
 NEAR = 3  # names in the error of an unknown one
 
@@ -68,7 +69,8 @@ def fit_width(grid: PanelGrid, width_in: float, *, titled: bool) -> PanelGrid:
         panels = [panel for line in (columns if together else rows) for panel in line]
         height_in *= len(panels) / len(rows)
         rows, widths = [[panel] for panel in panels], (1.0,)
-    height_in = min(scale * height_in, MAX_HEIGHT_IN) + scale * TITLES_IN * titled
+    most_in = max(MAX_HEIGHT_IN, LEAST_HEIGHT_IN * len(rows))
+    height_in = min(scale * height_in, most_in) + scale * TITLES_IN * titled
     return replace(grid, rows=rows, widths=widths, inches=(width_in, height_in))
 
 

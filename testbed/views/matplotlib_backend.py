@@ -79,6 +79,7 @@ MIN_ROOM_IN = 1.5  # width of a panel's title at least
 TICKS_IN, AXIS_IN = 0.35, 0.25  # height of the numbers of an axis and of its label, inches
 TITLE_PT, NAME_PT = 6.0, 12.5  # distance of a title, and height of a line of names of spans
 SMALL_PT = 10.5  # size of the smallest text: 7 points in a paper
+LEAST_RANGE = 1e-3  # of an axis, as a part of its numbers: less would show rounding
 MAX_DECADES = 4.0  # of a logarithmic axis with ticks within decades, as plain numbers
 HEAT_COLOURS = "cividis"  # the same order for colour-blind readers, and in grey
 HEAT_STEPS = 32
@@ -380,6 +381,9 @@ def _fill(ax: Axes, panel: Panel, scale: float = 1.0) -> None:
             axis.set_minor_locator(NullLocator())
     ax.set(xlim=panel.x_limits, ylim=panel.y_limits)
     low, high = ax.get_ylim()
+    least = LEAST_RANGE * max(abs(low), abs(high))
+    if not (panel.y_limits or panel.y_log) and high - low < least:
+        ax.set_ylim(0.5 * (low + high - least), 0.5 * (low + high + least))
     if panel.y_degrees and abs(high - low) >= MIN_DEGREES:
         ax.yaxis.set_major_locator(MaxNLocator(5, steps=DEGREE_STEPS))
     for axis, logarithmic in ((ax.xaxis, panel.x_log), (ax.yaxis, panel.y_log)):

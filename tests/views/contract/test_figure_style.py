@@ -58,7 +58,7 @@ def test_numbers_of_an_axis_are_whole(low, high):
     ((axes,), _) = drawn(grid, PAPER)
     assert axes.yaxis.get_offset_text().get_text() == ""
     ticks = [float(each.get_text().replace("−", "-")) for each in axes.get_yticklabels()]
-    assert np.ptp(ticks) > 0.0
+    assert np.ptp(ticks) > 0.0 and np.ptp(axes.get_ylim()) >= 0.999e-3 * high
 
 
 def test_legend_has_no_entry_without_a_mark():
@@ -91,7 +91,9 @@ def test_narrow_figure_is_one_column_of_a_page():
     rows = [[panel(f"{k}{n}", x_limits=(0.0, 1.0 + k)) for k in range(3)] for n in range(5)]
     narrow = fit_width(PanelGrid("", "", rows, (1.0,) * 3, (16.0, 16.0)), 3.5, titled=False)
     assert [each.y_label for (each,) in narrow.rows][:6] == ["00", "01", "02", "03", "04", "10"]
-    assert narrow.inches == (3.5, 9.0)
+    assert narrow.inches == (3.5, 12.0)  # 0.8 each
+    few = fit_width(PanelGrid("", "", rows[:3], (1.0,) * 3, (16.0, 16.0)), 3.5, titled=False)
+    assert few.inches == (3.5, 9.0)
 
 
 def test_labels_replace_texts_and_names_in_one_pass():
