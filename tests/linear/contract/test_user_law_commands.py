@@ -44,7 +44,7 @@ def test_delay_of_a_law_is_flown(folder):
     assert row["extrapolate_from"] == "law" and row["predicted"] is None
     # as from the time of receipt: 22 m/s times 0.2 s behind
     assert row["flown"]["offset_m"]["uav1"]["forward"] == pytest.approx(-4.4, abs=0.1)
-    assert "flown, from law" in (folder / "d.svg").read_text("utf-8")
+    assert "uav1, flown" in (folder / "d.svg").read_text("utf-8")
 
 
 def test_class_is_refused_with_what_a_kernel_needs(tmp_path):
