@@ -26,7 +26,7 @@ NO_WINDOWS = "scenario.published=null", "scenario.windows=null"
 
 
 @pytest.mark.parametrize("overrides", [(), NO_WINDOWS])
-def test_flight_before_windows_keeps_its_bound(overrides):
+def test_a_flight_before_all_windows_has_its_bound(overrides):
     one = assessed(*overrides, duration_s=40.0)
     flown = one.scenario(one.criteria())
     assert flown.scenario.windows == {"second_half": (20.0, 40.0)}
