@@ -20,7 +20,13 @@ from testbed.assessment.measures import (
     measure_margins,
     measure_nominal,
 )
-from testbed.assessment.verdict import decide, energy, shortcomings
+from testbed.assessment.verdict import (
+    MIN_FACTOR,
+    MIN_PHASE_DEG,
+    decide,
+    energy,
+    shortcomings,
+)
 from testbed.core.compile import source_digest
 from testbed.core.errors import InputError
 from testbed.core.files import report_write_errors, write_text_file
@@ -288,6 +294,7 @@ def document(assessed: Assessed, scenario: Scenario, rows: Mapping[str, Row]) ->
         "flights": assessed.flights,
         "first_seed": seeds[0],
         "duration_s": scenario.scenario.duration_s,
+        "least_margins": {"factor": MIN_FACTOR, "phase_deg": MIN_PHASE_DEG, "damping": 0.0},
         "rows": dict(rows),
         "energy": charges,
         "parameters": [

@@ -53,7 +53,7 @@ def assessment_page(found: Row) -> Page:
         head=_head(found),
         sections=(
             PageSection("nominal", "As in the scenario", _nominal(rows)),
-            PageSection("margins", "Margins", _margins(rows)),
+            PageSection("margins", "Margins", _margins(found)),
             PageSection("conditions", "What it bears", _conditions(found)),
             PageSection("faults", "Faults and outages", _faults(rows)),
             PageSection("energy", "Battery and time", _energy(found)),
@@ -191,8 +191,8 @@ def _limited(value: float | None, largest: float, digits: int) -> str:
     return f"> {largest:g}" if value is None else f"{value:.{digits}f}"
 
 
-def _margins(rows: Row) -> str:
-    row = rows.get("margins")
+def _margins(found: Row) -> str:
+    row, least = found["rows"].get("margins"), found["least_margins"]
     if row is None:
         return ""
     headings = ("flight", "follower", "damping ratio", "factor", "phase", "latency")
@@ -200,22 +200,27 @@ def _margins(rows: Row) -> str:
     for case in row["cases"]:
         problem = case.get("not_predicted") or case.get("problem")
         if problem:
-            body.append(_cells(_case(case), f"not predicted: {problem}", "", "", "", ""))
+            text = f"not predicted: {problem}"
+            is_short = bool(case.get("problem"))
+            body.append(_cells(_case(case)) + _cells(text, short=is_short) + _cells("", "", "", ""))
         if case.get("flown_with"):
             notes[case["flown_with"]] = None
         for each in case.get("followers", ()):
-            latency = _limited(each["latency_s"], 1, 2)
-            damping = _limited(each["damping"], 1, 3)
+            known = {name: each[name] for name in least if each[name] is not None}
+            short = {name: value < least[name] for name, value in known.items()}
+            short["damping"] = known.get("damping", 1.0) <= least["damping"]
             body.append(
-                _cells(
-                    *(_case(case), each["name"], damping, _factor(each), _phase(each)),
-                    f"{latency} s",
-                )
+                _cells(_case(case), each["name"])
+                + _cells(_limited(each["damping"], 1, 3), short=short["damping"])
+                + _cells(_factor(each), short=short.get("factor", False))
+                + _cells(_phase(each), short=short.get("phase_deg", False))
+                + _cells(f"{_limited(each['latency_s'], 1, 2)} s")
             )
     text = (
         "Of each follower the least factor, phase and additional latency of pitch, roll and "
-        "throttle at which its oscillations no longer decay, predicted. A factor below 2 or a "
-        "phase below 30° is short."
+        "throttle at which its oscillations no longer decay, predicted. Short are a damping ratio "
+        f"of 0 or less, a factor below {least['factor']:g} and a phase below "
+        f"{least['phase_deg']:g}°."
     )
     note = "".join(f" Flown {escape(each)}." for each in notes)
     commands = "\n".join(case["command"] for case in row["cases"] if case.get("command"))
