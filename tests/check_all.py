@@ -93,6 +93,7 @@ PARTS = (
         "tests/mavlink/contract/test_mavlink_vehicle_noise.py "
         "tests/flight_logs/contract/test_dataflash.py "
         "tests/flight_logs/truth/test_import_flight.py "
+        "tests/flight_logs/truth/test_px4_logs.py "
         "tests/mavlink/equations/test_follow_target.py",
     ),
     Part(

@@ -33,21 +33,19 @@ if TYPE_CHECKING:
     from testbed.flight_logs.recorded_motion import Motion
     from testbed.flight_logs.tracks import Track
 
-_FBWA = "FBWA"
-
 
 def import_command(
     flight: Annotated[
         Path,
         typer.Argument(
             metavar="FLIGHT",
-            help="ArduPlane's log: a .bin of the autopilot, or a .tlog. With --columns a CSV file.",
+            help="A log: .bin or .tlog of ArduPlane, .ulg of PX4. With --columns a CSV file.",
         ),
     ],
     out: Annotated[Path, output_option(metavar="CSV", help="The recording to write.")],
     columns: Annotated[
         Path | None,
-        value_option("MAP.yaml", "Columns and units of a CSV file that is not ArduPlane's."),
+        value_option("MAP.yaml", "Columns and units of a CSV file from elsewhere."),
     ] = None,
     scenario: Annotated[
         str | None,
@@ -64,15 +62,18 @@ def import_command(
         float | None,
         finite_option(
             "S",
-            "Import nothing earlier: seconds since boot for a .bin, since the first record "
-            "for a .tlog, t_s of a CSV file.",
+            "Import nothing earlier: seconds since boot for a .bin or .ulg, since the first "
+            "record for a .tlog, t_s of a CSV file.",
             "--from",
         ),
     ] = None,
     end: Annotated[float | None, finite_option("S", "Import nothing later.", "--to")] = None,
     mode: Annotated[
         str | None,
-        value_option("MODE", "Import flight in this mode only; any: in all.  \\[default: FBWA]"),
+        value_option(
+            "MODE",
+            "Import flight in this mode only; any: in all.  \\[default: FBWA; of a .ulg any]",
+        ),
     ] = None,
 ) -> None:
     """Convert a log of a real flight to a recording.
@@ -91,9 +92,7 @@ def import_command(
         from testbed.flight_logs.flight_import import read_flight
         from testbed.flight_logs.recorded_motion import Motion
 
-        found = read_flight(
-            flight, system=system, begin=first, end=last, mode=_FBWA if mode is None else mode
-        )
+        found = read_flight(flight, system=system, begin=first, end=last, mode=mode)
         motion = Motion(found.columns, found.sources)
         home_m, rates_hz = found.home_m, found.rates_hz
     else:
@@ -104,7 +103,7 @@ def import_command(
 
         for option, value in (("--system", system), ("--mode", mode)):
             if value is not None:
-                raise InputError(f"{option} {value}: is for a .bin or .tlog; leave it out")
+                raise InputError(f"{option} {value}: is for a log of an autopilot; leave it out")
         motion, notes = longest_section(read_mapped(flight, columns), first, last)
         found, home_m = _mapped_flight(motion, notes), None
         time = motion.columns["t_s"]
@@ -240,8 +239,8 @@ def import_formation_command(
         typer.Argument(
             metavar="LOG",
             help="A log of each aircraft in the scenario's order, the leader's first: .bin, .tlog, "
-            "FILE.tlog:SYSTEM, or a recording of `testbed import`. One .tlog of all stands for its "
-            "systems in order.",
+            ".ulg, FILE.tlog:SYSTEM, or a recording of `testbed import`. One .tlog of all stands "
+            "for its systems in order.",
         ),
     ],
     out: Annotated[

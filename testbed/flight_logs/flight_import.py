@@ -11,7 +11,7 @@ import numpy as np
 
 from testbed.core.input_files import MAX_FLIGHT_LOG_BYTES, open_regular
 from testbed.core.records import Array
-from testbed.flight_logs import dataflash, tlog_flight
+from testbed.flight_logs import dataflash, px4_flight, tlog_flight, ulog_file
 from testbed.flight_logs.flight_log import (
     RAD_PER_DEG,
     FlightLog,
@@ -48,7 +48,6 @@ _MAX_SPEED = 350.0  # m/s of any aircraft
 _MIN_COSINE = 0.1  # of 84°, in the restoration of commands
 _HEAD_BYTES = 65536  # in which a tlog is recognised
 _OTHER_FORMATS = {
-    b"ULog": "a PX4 ULog",
     b"\x89MCAP": "an MCAP log (testbed view shows one)",
     b"FMT,": "a DataFlash log as text; give the .bin it was made from",
     b"\x1f\x8b": "compressed; unpack it first",
@@ -86,20 +85,22 @@ def read_flight(
     system: int | None = None,
     begin: float = -math.inf,
     end: float = math.inf,
-    mode: str = "FBWA",
+    mode: str | None = None,
 ) -> ImportedFlight:
-    """Read the longest interval in one mode, without gaps, of a .bin or .tlog.
+    """Read the longest interval in one mode, without gaps, of a .bin, .tlog or .ulg.
 
-    Times are s: in a .bin from the boot of the autopilot, in a .tlog from its first record.
+    Times are s: in a .bin and a .ulg from the boot of the autopilot, in a .tlog from its first
+    record.
 
     Args:
         path: the log; its content, not its name, decides on the format.
         system: id of the vehicle in a .tlog.
         begin: earliest time.
         end: latest time.
-        mode: of ArduPlane, e.g. FBWA; `any`.
+        mode: of the autopilot, e.g. FBWA; `any`. None: FBWA of ArduPlane, any of PX4.
 
     Raises:
+        MissingExtraError: the library for such logs is not installed.
         MavlinkError: the file cannot be read, or does not contain such a flight.
     """
     return _import_flight(_read_log(path, system), begin, end, mode, motion=False)
@@ -113,18 +114,18 @@ def read_motions(
     Commands are not needed.
 
     Args:
-        path: a .tlog, or a .bin of one vehicle.
+        path: a .tlog, or a .bin or .ulg of one vehicle.
         systems: of the .tlog; empty: all.
-        mode: of ArduPlane, or `any`.
+        mode: of the autopilot, or `any`.
 
     Returns:
-        The flights by system; of a .bin None.
+        The flights by system; None of a log of one vehicle.
 
     Raises:
         MavlinkError: see `read_flight`.
     """
     logs: dict[int | None, FlightLog] = {}
-    if _check_kind(path) == "bin":
+    if _check_kind(path) != "tlog":
         logs = {None: _read_log(path, next(iter(systems), None))}
     else:
         contents = tlog_flight.read_contents(path)
@@ -141,10 +142,11 @@ def _without_senders(notes: Sequence[str]) -> tuple[str, ...]:
 
 
 def _import_flight(
-    log: FlightLog, begin: float, end: float, mode: str, *, motion: bool
+    log: FlightLog, begin: float, end: float, mode: str | None, *, motion: bool
 ) -> ImportedFlight:
     """Read columns of a log; see `read_flight`, and `read_motions` with `motion`."""
     path = log.path
+    mode = log.firmware.default_mode if mode is None else mode
     attitude = log.tables.get(log.attitude)
     if attitude is None:
         raise MavlinkError(f"{path}: no {log.attitude}; {log.remedy}")
@@ -180,6 +182,8 @@ def _import_flight(
     columns["psi_rad"] = np.mod(columns["psi_rad"], 2.0 * math.pi)
     sources = {name: one.source for name, one in restored.items()}
     notes = [*log.notes, *other]
+    if position is not None and position.preferred:
+        notes.append(f"{position.preferred}: {position.source} is used in its place")
     if not motion:
         notes += _notes(log, series, time, pitch_down_known)
     if position is not None:
@@ -207,34 +211,37 @@ def _import_flight(
 
 
 def _read_log(path: Path, system: int | None) -> FlightLog:
-    if _check_kind(path) == "bin":
+    kind = _check_kind(path)
+    if kind != "tlog":
         if system is not None:
             raise MavlinkError(f"--system {system}: {path} is of one vehicle; leave it out")
-        return dataflash.read_log(path)
+        return dataflash.read_log(path) if kind == "bin" else px4_flight.read_log(path)
     return tlog_flight.make_log(tlog_flight.read_contents(path), system)
 
 
 def _check_kind(path: Path) -> str:
-    """Return "bin" or "tlog", by the content of a file.
+    """Return "bin", "tlog" or "ulg", by the content of a file.
 
     Raises:
-        MavlinkError: it is neither.
+        MavlinkError: it is none of them.
     """
     with open_regular(path, MAX_FLIGHT_LOG_BYTES, error=MavlinkError) as file:
         head = file.read(_HEAD_BYTES)
     if head.startswith(dataflash.SIGNATURE):
         return "bin"
+    if head.startswith(ulog_file.SIGNATURE):
+        return "ulg"
     if has_records(head):
         return "tlog"
     names = (name for magic, name in _OTHER_FORMATS.items() if head.startswith(magic))
-    found = next(names, "neither")
+    found = next(names, "none of these")
     if not head:
         found = "empty"
     elif decode(head[: frame_length(head, 0)]):
         found = "MAVLink without times"
     raise MavlinkError(
         f"{path}: this is {found}; give a DataFlash log of ArduPlane (.bin), a telemetry log "
-        "(.tlog), or a CSV file with --columns MAP.yaml"
+        "(.tlog), a log of PX4 (.ulg), or a CSV file with --columns MAP.yaml"
     )
 
 
@@ -335,15 +342,9 @@ def _notes(
             f"{_MAX_SPEED:.0f} m/s"
         )
     if not pitch_down:
-        notes.append(
-            "STAB_PITCH_DOWN and TRIM_THROTTLE are not in the log: the pitch demand is as logged, "
-            "reduced by STAB_PITCH_DOWN; replay it with a tune in which STAB_PITCH_DOWN is 0"
-        )
-    if not any(name.startswith("SERVO") for name in log.params):
-        notes.append(
-            "SERVOn_ parameters are not in the log: outputs 1 to 4 are taken for aileron, "
-            "elevator, throttle, rudder, with their pulses as logged"
-        )
+        notes.append(log.firmware.pitch_note)
+    if log.firmware.servo_note and not any(name.startswith("SERVO") for name in log.params):
+        notes.append(log.firmware.servo_note)
     if rate_hz := log.params.get("SIM_RATE_HZ"):
         notes.append(
             f"the log is of SITL, SIM_RATE_HZ {rate_hz:g}, whose gyro filter depends on that rate: "

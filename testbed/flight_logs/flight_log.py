@@ -1,4 +1,4 @@
-"""Flight logs of ArduPlane in one form, and sources of recording columns in their messages."""
+"""Flight logs in one form, and sources of recording columns in their messages."""
 
 from __future__ import annotations
 
@@ -84,6 +84,36 @@ class PositionFields(NamedTuple):
     height_scale: float = 1.0
 
 
+class Firmware(NamedTuple):
+    """What differs between the logs of autopilots.
+
+    Attributes:
+        modes: names by number.
+        default_mode: of the flight that is imported.
+        pitch_note: on commands, where the log does not have the parameters of STAB_PITCH_DOWN.
+        servo_note: on servo outputs, where the log does not have their parameters; "": none.
+    """
+
+    modes: Mapping[int, str]
+    default_mode: str
+    pitch_note: str
+    servo_note: str = ""
+
+
+ARDUPLANE = Firmware(
+    MODES,
+    "FBWA",
+    pitch_note=(
+        "STAB_PITCH_DOWN and TRIM_THROTTLE are not in the log: the pitch demand is as logged, "
+        "reduced by STAB_PITCH_DOWN; replay it with a tune in which STAB_PITCH_DOWN is 0"
+    ),
+    servo_note=(
+        "SERVOn_ parameters are not in the log: outputs 1 to 4 are taken for aileron, elevator, "
+        "throttle, rudder, with their pulses as logged"
+    ),
+)
+
+
 class MotionSources(NamedTuple):
     """Where a kind of log has positions, velocities and UNIX times, the preferred source first.
 
@@ -106,7 +136,7 @@ class MotionSources(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class FlightLog:
-    """A log of one vehicle, of either kind.
+    """A log of one vehicle, of any kind.
 
     Attributes:
         path: the file.
@@ -123,6 +153,7 @@ class FlightLog:
             aircraft or of another one.
         receiver_start_unix_s: UNIX time of log time 0 by the clock of the receiver; None: the
             autopilot wrote the log.
+        firmware: of the autopilot.
     """
 
     path: Path
@@ -137,6 +168,7 @@ class FlightLog:
     motion: MotionSources
     clock_starts: tuple[float, ...] = ()
     receiver_start_unix_s: float | None = None
+    firmware: Firmware = ARDUPLANE
 
     def flight_numbers(self, time: Array) -> NDArray[np.int64]:
         """Count the starts of the vehicle's clock before each time (M,)."""
@@ -206,9 +238,9 @@ def order_notes(left_out: Mapping[str, int], mode: str) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def mode_name(mode: int) -> str:
-    """Return ArduPlane's name of a mode."""
-    return MODES.get(mode, f"mode {mode}")
+def mode_name(mode: int, firmware: Firmware = ARDUPLANE) -> str:
+    """Return the autopilot's name of a mode."""
+    return firmware.modes.get(mode, f"mode {mode}")
 
 
 def field_source(

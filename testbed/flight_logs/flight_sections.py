@@ -7,7 +7,13 @@ from collections.abc import Mapping
 import numpy as np
 
 from testbed.core.records import Array, BoolArray
-from testbed.flight_logs.flight_log import MODES, FlightLog, LogSeries, MessageTable, mode_name
+from testbed.flight_logs.flight_log import (
+    Firmware,
+    FlightLog,
+    LogSeries,
+    MessageTable,
+    mode_name,
+)
 from testbed.flight_logs.log_position import LogPosition
 from testbed.mavlink.codec import MavlinkError
 
@@ -57,7 +63,7 @@ def _wanted(
     log: FlightLog, attitude: MessageTable, begin: float, end: float, mode: str
 ) -> tuple[Array, BoolArray]:
     """Return the times (M,) of the attitudes, and which are in the mode and between the ends."""
-    number = None if mode == ANY else _mode_number(mode)
+    number = None if mode == ANY else _mode_number(mode, log.firmware)
     time = attitude.time[np.concatenate([[True], np.diff(attitude.time) > 0.0])]
     wanted = (time >= begin) & (time <= end)
     if number is not None:
@@ -97,7 +103,9 @@ def without_ends(time: Array, position: LogPosition) -> Array:
 
 
 def _no_interval(log: FlightLog, time: Array, mode: str, begin: float, end: float) -> str:
-    modes = ", ".join(f"{mode_name(m.mode)} {m.start:.1f} to {m.end:.1f}" for m in log.modes)
+    modes = ", ".join(
+        f"{mode_name(m.mode, log.firmware)} {m.start:.1f} to {m.end:.1f}" for m in log.modes
+    )
     between = " between --from and --to" if np.isfinite([begin, end]).any() else ""
     return (
         f"{log.path}: nothing in {mode} mode{between}; it has attitude from "
@@ -109,11 +117,11 @@ def _no_interval(log: FlightLog, time: Array, mode: str, begin: float, end: floa
 def modes_between(log: FlightLog, time: Array) -> tuple[str, ...]:
     """Return the names of the modes in the rows at times (M,)."""
     modes = [m.mode for m in log.modes if m.start < time[-1] and m.end > time[0]]
-    return tuple(mode_name(mode) for mode in dict.fromkeys(modes))
+    return tuple(mode_name(mode, log.firmware) for mode in dict.fromkeys(modes))
 
 
-def _mode_number(mode: str) -> int:
-    for number, name in MODES.items():
+def _mode_number(mode: str, firmware: Firmware) -> int:
+    for number, name in firmware.modes.items():
         if name == mode.upper():
             return number
-    raise MavlinkError(f"--mode {mode}: write any, or one of {', '.join(MODES.values())}")
+    raise MavlinkError(f"--mode {mode}: write any, or one of {', '.join(firmware.modes.values())}")

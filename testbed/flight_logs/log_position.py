@@ -14,6 +14,7 @@ import numpy as np
 
 from testbed.core.geodetic import geodetic_from_ned, has_position, ned_from_geodetic
 from testbed.core.interpolation import hermite
+from testbed.core.ranges import RECORDED
 from testbed.core.records import Array, BoolArray, NedOrigin
 from testbed.flight_logs.flight_log import (
     ColumnSource,
@@ -52,10 +53,11 @@ class LogPosition:
     source: str
     time: Array  # (M,) s, increasing
     geodetic: Array  # (M, 3) latitude and longitude, deg, height above sea level, m
+    preferred: str = ""  # why those of the messages that are preferred are not used
 
     def within(self, keep: BoolArray) -> LogPosition:
         """Select positions (M,)."""
-        return LogPosition(self.source, self.time[keep], self.geodetic[keep])
+        return replace(self, time=self.time[keep], geodetic=self.geodetic[keep])
 
     def near(self, time: Array) -> BoolArray:
         """Mask times (T,) that lie between two positions at most `MAX_GAP_S` apart, or at one."""
@@ -102,11 +104,14 @@ def read_positions(log: FlightLog, sources: MotionSources) -> LogPosition:
         scales = (fields.angle_scale, fields.angle_scale, fields.height_scale)
         columns = [table.fields[name] for name in names]
         known = np.isfinite(columns).all(axis=0) & has_position(*columns[:2])
+        for column, name, scale in zip(columns, POSITION, scales, strict=True):
+            limits = RECORDED[name]
+            known &= (column >= limits.low / scale) & (column <= limits.high / scale)
         known &= np.concatenate([[True], np.diff(table.time) > 0.0])
         if known.any():
             geodetic = np.stack(columns, axis=-1)[known] * scales
             source = f"{fields.message}.{'/'.join(names)}"
-            return LogPosition(source, table.time[known], geodetic)
+            return LogPosition(source, table.time[known], geodetic, ", ".join(reasons))
         reasons.append(f"{fields.message} knows no position")
     raise Unavailable(", ".join(reasons))
 
@@ -188,16 +193,20 @@ def unix_from_gps(gps_s: Array) -> Array:
     return unix
 
 
-def system_time_clock(log: FlightLog) -> LogSeries:
-    """Return UNIX time minus log time by the vehicle's own clock (.tlog)."""
-    table = log.tables.get("SYSTEM_TIME")
-    if table is None:
-        raise Unavailable("no SYSTEM_TIME")
-    valid = table.fields["time_unix_usec"] > 0.0
-    if not valid.any():
-        raise Unavailable("SYSTEM_TIME knows no time")
-    time = table.time[valid]
-    return LogSeries("SYSTEM_TIME", time, 1e-6 * table.fields["time_unix_usec"][valid] - time)
+def utc_clock(message: str, name: str) -> ColumnSource:
+    """Make a source of UNIX time minus log time by a field that has UNIX time, µs."""
+
+    def source(log: FlightLog) -> LogSeries:
+        table = log.tables.get(message)
+        if table is None or name not in table.fields:
+            raise Unavailable(f"no {message} with {name}")
+        valid = table.fields[name] > 0.0
+        if not valid.any():
+            raise Unavailable(f"{message} knows no time")
+        time = table.time[valid]
+        return LogSeries(message, time, 1e-6 * table.fields[name][valid] - time)
+
+    return source
 
 
 def sample_velocity(velocity: Sequence[LogSeries], time: Array) -> Array:
@@ -287,7 +296,7 @@ TELEMETRY = MotionSources(
     positions=(PositionFields("GLOBAL_POSITION_INT", "lat", "lon", "alt", 1e-7, 1e-3),),
     north=(field_source("GLOBAL_POSITION_INT", "vx", 0.01),),
     east=(field_source("GLOBAL_POSITION_INT", "vy", 0.01),),
-    unix=(system_time_clock,),
+    unix=(utc_clock("SYSTEM_TIME", "time_unix_usec"),),
     wind_north=(_towards(polar_source("WIND", "speed", "direction", east=False)),),
     wind_east=(_towards(polar_source("WIND", "speed", "direction", east=True)),),
 )

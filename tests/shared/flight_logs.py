@@ -74,7 +74,9 @@ FORMATS = {
 WITH_POSITION = FORMATS | {
     "GPS": (11, "QBBIHBcLLefffB", "TimeUS,I,Status,GMS,GWk,NSats,HDop,Lat,Lng,Alt,Spd,GCrs,VZ,U"),
     "XKF1": (13, "QBfff", "TimeUS,C,VN,VE,VD"),
+    "XKF2": (14, "QBff", "TimeUS,C,VWN,VWE"),
 }
+WIND = (-2.0, 3.5)  # m/s to the north and east, as the autopilot would have estimated it
 OLD_ATT = (4, "QccccCC", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw")
 
 
@@ -257,6 +259,7 @@ def write_run_dataflash(path, log, name, *, boot_s=0.0, unix_s=1_777_627_800.0, 
         above = height - log.info.origin.elevation_m
         file.add("POS", us, *e7, height, above, above)
         file.add("XKF1", us, 0, north, east, down)
+        file.add("XKF2", us, 0, *WIND)
         if i % 5 == 0:
             week, ms = gps_time(unix_s + t)
             speed, course = np.hypot(north, east), np.degrees(np.arctan2(east, north)) % 360.0

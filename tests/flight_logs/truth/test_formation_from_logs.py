@@ -10,7 +10,7 @@ from datetime import datetime, timedelta
 import numpy as np
 import pytest
 import yaml
-from flight_logs import ROOT, write_run_dataflash
+from flight_logs import ROOT, WIND, write_run_dataflash
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 from typer.testing import CliRunner
 
@@ -121,7 +121,10 @@ def test_leader_of_a_log_flies_its_path(leaders, flight, kind):
 
 
 def test_import_keeps_rates_and_wind(leaders):
-    """Beside the recording of a .tlog: demands twice a second; in it: still air."""
+    """A .tlog with demands twice a second, in still air; a .bin with wind."""
+    of_bin = read_commands(leaders / "bin.csv")
+    assert of_bin.wind_mps == pytest.approx(np.tile(WIND, (len(of_bin.time_s), 1)), abs=1e-6)
+    assert of_bin.rates_hz["wind_north_mps"] == of_bin.rates_hz["q_radps"] == 25.0
     found = read_commands(leaders / "tlog.csv")
     assert found.rates_hz["phi_cmd_rad"] == pytest.approx(2.0, rel=0.05)
     assert found.rates_hz["phi_rad"] == pytest.approx(10.0, rel=0.05)
@@ -288,7 +291,7 @@ def test_formation_of_csv_recordings(leaders, formations):
         (("leader.bin", "uav1.bin"), "2 logs .* for 4 aircraft .*leader's first"),
         (("run/run.tlog:1",) * 3 + ("run/run.tlog:9",), "--system 9: not in .*write one of 1"),
         (("run/run.tlog",) * 4, "run.tlog: several vehicles; write one of .*run.tlog:1,"),
-        (("three.yaml",) * 4, "three.yaml: this is neither"),
+        (("three.yaml",) * 4, "three.yaml: this is none of these"),
     ],
 )
 def test_formation_of_wrong_logs_is_an_error(flown, words, text):

@@ -347,11 +347,11 @@ def test_import_other_vehicles_are_an_error(folder):
     ("content", "text"),
     [
         (b"", "this is empty"),
-        (b"ULog\x01\x12\x35", "a PX4 ULog"),
+        (b"ULog\x01\x12\x35", "no ULog: its header is cut off"),
         (b"\x89MCAP0\r\n", "an MCAP log"),
         (b"FMT, 128, 89, FMT, BBnNZ", "as text; give the .bin"),
         (b"PK\x03\x04rest", "unpack it first"),
-        (b"t_s,theta_cmd_rad\n0,0\n" * 100, "this is neither"),
+        (b"t_s,theta_cmd_rad\n0,0\n" * 100, "this is none of these"),
         (heartbeat(5).pack(vehicle(1)) * 20, "MAVLink without times"),
     ],
 )

@@ -9,7 +9,9 @@ from pathlib import Path
 import golden_scenarios
 import pytest
 from commands import SEVERAL, environment
+from flight_logs import recorded
 from places import ROOT
+from px4_logs import write_ulog
 from waiting import TIMEOUT_S
 
 import testbed
@@ -28,6 +30,7 @@ sys.meta_path.insert(0, Missing())
 """
 LIBRARIES = (
     *("rerun", "rerun_bindings", "matplotlib", "mpl_toolkits", "pyarrow", "cma", "pymavlink"),
+    "pyulog",
     *("pandas", "xarray", "distributed", "dask", "gymnasium", "pettingzoo", "rosbags"),
 )
 WORKS = (
@@ -48,6 +51,7 @@ NEEDS = {
     "sweep radio-and-wind": "study",
     "tune x8-middle-loop": "study",
     "run simulation-3 --quiet --out other --mavlink 14777": "mavlink",
+    "import flight.ulg --out flight.csv": "px4",
     "sweep radio-and-wind --backend dask --scheduler tcp://127.0.0.1:1": "study",
 }
 
@@ -60,6 +64,7 @@ def without_extras(tmp_path_factory):
     work = folder / "work"
     work.mkdir()
     golden_scenarios.write(work, "own")
+    write_ulog(work / "flight.ulg", recorded()[:50])
     done = subprocess.run(
         [sys.executable, "-c", SEVERAL, *WORKS, *NEEDS],
         cwd=work,
