@@ -1,1 +1,1 @@
-"""Flights of real aircraft from their logs: DataFlash, tlog, and recordings of positions."""
+"""Flights of real aircraft from their logs: DataFlash, tlog, ULog, recordings of positions."""

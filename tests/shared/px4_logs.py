@@ -17,7 +17,7 @@ SYNC = b"\x2f\x73\x13\x20\x25\x0c\xbb\x12"
 CODES = {"uint64_t": "Q", "uint8_t": "B", "int32_t": "i", "float": "f", "double": "d", "bool": "?"}
 ORIGIN = NedOrigin(47.4, 8.55, 488.0)
 EARTH_M = 6_371_000.0  # of PX4's local frame
-UNIX_US = 1_777_627_800_000_000  # at boot
+UNIX_US = 1_777_627_800_000_000  # at 0 s of the rows, 2026-05-01T09:30:00Z
 WIND = (-2.0, 3.5)
 QUADROTOR, FIXED_WING, TAILSITTER, QUADPLANE = 2, 1, 20, 22
 FORMATS = {
@@ -171,7 +171,7 @@ def write_ulog(
         flags = origin.elevation_m, True, True
         log.add("vehicle_local_position", us, *place, north, east, down, *flags)
         fix = round(1e7 * lat), round(1e7 * lon), round(1e3 * height), north, east, down, 3
-        log.add("vehicle_gps_position", us, UNIX_US + us, *fix)
+        log.add("vehicle_gps_position", us, UNIX_US + round(1e6 * row["t_s"]), *fix)
     path.write_bytes(log.bytes)
     return path
 

@@ -139,7 +139,7 @@ def test_ulg_is_a_log_of_a_formation(flight):
     """On UNIX time, by GPS; its modes are those of PX4."""
     ((system, found),) = read_motions(flight).items()
     assert system is None and found.modes == ("AUTO_MISSION",)
-    unix = 1e-6 * UNIX_US + found.columns["t_s"]
+    unix = 1e-6 * UNIX_US + found.columns["t_s"] - BOOT_S
     assert np.abs(found.columns["unix_s"] - unix).max() < 1e-5
     assert read_flight(flight, mode="auto_mission").columns["t_s"].shape == (len(FLIGHT),)
     with pytest.raises(InputError, match="nothing in STAB mode; .* AUTO_MISSION 20.0 to"):
