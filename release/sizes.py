@@ -14,7 +14,7 @@ from licences import installed
 from locked import distribution_name, here, needed, requirements_with
 
 VARIANTS = (
-    *("", "view", "video", "report", "study", "mavlink", "notebook", "all"),
+    *("", "view", "video", "report", "study", "mavlink", "px4", "notebook", "all"),
     *("rl", "ros2", "dask"),
 )
 LARGE = 20e6  # bytes, of packages that are named

@@ -119,7 +119,7 @@ _VALID: Mapping[str, tuple[tuple[str, float, tuple[str, ...]], ...]] = {
         ),
     ),
 }
-_FIXED_WING, _ROTARY_WING = 1, 2  # MAV_TYPE; the second of a quadrotor
+_FIXED_WING = 1  # MAV_TYPE
 _VTOL_TYPES = range(19, 26)  # MAV_TYPE
 _TAILSITTERS = (19, 20, 23)  # MAV_TYPE
 _TYPE_NAMES = {
@@ -135,8 +135,8 @@ _TYPE_NAMES = {
     14: "an octorotor",
     15: "a tricopter",
 }
-_WING_STATE = 2  # vehicle_status.vehicle_type
-_VTOL_WING_STATE = 4  # vtol_vehicle_status.vehicle_vtol_state
+_ROTARY, _WING = 1, 2  # vehicle_status.vehicle_type
+_VTOL_ON_WING = 4  # vtol_vehicle_status.vehicle_vtol_state
 _ROW_S = 0.02  # of rows; PX4 logs up to 400 attitudes a second
 _ROUNDING = 1e-3  # of a row, of times in binary numbers
 _EARTH_RADIUS = 6_371_000.0  # m, of the sphere on which PX4's local frame lies
@@ -379,13 +379,13 @@ def _check_vehicle(
         )
     if vtol:
         return True, []
-    rotors = _usual(status.get("vehicle_type")) == 1 or _usual(status.get("is_rotary_wing")) == 1
+    rotors = _usual(status.get("vehicle_type")) == _ROTARY or _usual(status.get("is_rotary_wing"))
     if rotors and kind in (None, _FIXED_WING):
         raise MavlinkError(f"{path}: the vehicle is a multirotor; {_WANTED}")
     if kind not in (None, _FIXED_WING):
         name = _TYPE_NAMES.get(int(kind), "no aircraft with a wing")
         raise MavlinkError(f"{path}: the vehicle is {name} (MAV_TYPE {kind:g}); {_WANTED}")
-    if kind is None and _usual(status.get("vehicle_type")) != _WING_STATE:
+    if kind is None and _usual(status.get("vehicle_type")) != _WING:
         return False, [
             "the log does not say which vehicle it is of: taken for a fixed-wing aircraft"
         ]
@@ -437,9 +437,9 @@ def _wing_borne(
 ) -> tuple[BoolArray, str]:
     """Mask the times (M,) at which a VTOL is in wing-borne flight, and say by which field."""
     for topic, field, on_wing, transition in (
-        (_VTOL, "vehicle_vtol_state", _VTOL_WING_STATE, ""),
+        (_VTOL, "vehicle_vtol_state", _VTOL_ON_WING, ""),
         (_VTOL, "vtol_in_rw_mode", 0, "vtol_in_trans_mode"),
-        (_STATUS, "vehicle_type", _WING_STATE, "in_transition_mode"),
+        (_STATUS, "vehicle_type", _WING, "in_transition_mode"),
         (_STATUS, "is_rotary_wing", 0, "in_transition_mode"),
     ):
         table = tables.get(topic)

@@ -40,6 +40,24 @@ FORMATS = {
     "vtol_vehicle_status": "uint8_t vehicle_vtol_state",
     "cpuload": "float load",  # which is not read
 }
+OLD = {
+    "vehicle_attitude": "float rollspeed;float pitchspeed;float yawspeed;float[4] q",
+    "vehicle_attitude_setpoint": "float roll_body;float pitch_body;float thrust",
+    "airspeed": "float true_airspeed_m_s",
+    "vehicle_local_position": FORMATS["vehicle_local_position"],
+    "vehicle_gps_position": FORMATS["vehicle_gps_position"],
+    "wind_estimate": FORMATS["wind"],
+    "actuator_controls_0": FORMATS["actuator_controls_0"],
+    "vehicle_status": "uint8_t nav_state;uint8_t system_type;bool is_rotary_wing;bool is_vtol",
+    "vtol_vehicle_status": "bool vtol_in_rw_mode;bool vtol_in_trans_mode",
+}  # 1.6
+NEW = {name: fields for name, fields in FORMATS.items() if name != "actuator_controls_0"} | {
+    "vehicle_attitude_setpoint": "float[4] q_d;float[3] thrust_body",
+    "vehicle_gps_position": (
+        "uint64_t time_utc_usec;double latitude_deg;double longitude_deg;double altitude_msl_m;"
+        "float vel_n_m_s;float vel_e_m_s;float vel_d_m_s;uint8_t fix_type"
+    ),
+}  # 1.16
 
 
 def message(kind, payload):
@@ -67,20 +85,23 @@ class Ulog:
         for name, value in dict(params).items():
             self.bytes += keyed("P", f"int32_t {name}", struct.pack("<i", value))
 
-    def add(self, topic, us, *values, instance=0):
-        """Add a message; values in the order of the fields, elements of arrays one by one."""
+    def add(self, topic, us, **values):
+        """Add a message; of the values those that are fields of the topic."""
         if topic not in self.formats:
             return
-        if (topic, instance) not in self.numbers:
-            number = self.numbers[topic, instance] = len(self.numbers)
-            self.bytes += message("A", struct.pack("<BH", instance, number) + topic.encode())
-        number = self.numbers[topic, instance]
-        fields = [each.split(" ") for each in self.formats[topic].split(";")]
-        plain = [kind for kind, name in fields if not name.startswith("_padding")]
-        codes = "".join(
-            kind.partition("[")[2].rstrip("]") + CODES[kind.partition("[")[0]] for kind in plain
-        )
-        self.bytes += message("D", struct.pack(f"<HQ{codes}", number, us, *values))
+        if topic not in self.numbers:
+            self.numbers[topic] = len(self.numbers)
+            payload = struct.pack("<BH", 0, self.numbers[topic]) + topic.encode()
+            self.bytes += message("A", payload)
+        data = struct.pack("<HQ", self.numbers[topic], us)
+        for each in self.formats[topic].split(";"):
+            kind, name = each.split(" ")
+            kind, _, count = kind.partition("[")
+            if not name.startswith("_padding"):
+                found = np.atleast_1d(values[name])
+                assert len(found) == int(count.rstrip("]") or 1)
+                data += struct.pack(f"<{len(found)}{CODES[kind]}", *found)
+        self.bytes += message("D", data)
 
     def sync(self):
         self.bytes += message("S", SYNC)
@@ -153,25 +174,40 @@ def write_ulog(
         north, east, down = velocity[k]
         if k % 12 == 0:
             log.sync()
-            log.add("vehicle_status", us, 3, system_type, vehicle_type, vtol is not None)
+            kind = {"system_type": system_type, "vehicle_type": vehicle_type}
+            kind |= {"is_vtol": vtol is not None, "is_rotary_wing": vehicle_type == 1}
+            log.add("vehicle_status", us, nav_state=3, **kind)
             if vtol:
-                log.add("vtol_vehicle_status", us, vtol(row["t_s"]))
-            log.add("wind", us, *WIND)
-            log.add("cpuload", us, 0.5)
-        log.add("vehicle_attitude", us, *quaternion[k])
-        thrust = row["throttle_cmd"], 0.0, 0.0
-        log.add("vehicle_attitude_setpoint", us, *demands(row), *thrust)
-        log.add("vehicle_angular_velocity", us, row["p_radps"], row["q_radps"], row["r_radps"])
-        log.add("airspeed_validated", us, row["airspeed_mps"])
+                state = vtol(row["t_s"])
+                rotary = {"vtol_in_rw_mode": state != 4, "vtol_in_trans_mode": state in (1, 2)}
+                log.add("vtol_vehicle_status", us, vehicle_vtol_state=state, **rotary)
+            for topic in ("wind", "wind_estimate"):
+                log.add(topic, us, windspeed_north=WIND[0], windspeed_east=WIND[1])
+            log.add("cpuload", us, load=0.5)
+        rates = [row[n] for n in ("p_radps", "q_radps", "r_radps")]
+        speeds = dict(zip(("rollspeed", "pitchspeed", "yawspeed"), rates, strict=True))
+        log.add("vehicle_attitude", us, q=quaternion[k], **speeds)
+        roll, pitch = demands(row)
+        throttle = row["throttle_cmd"]
+        demand = {"roll_body": roll, "pitch_body": pitch, "thrust": throttle}
+        demand["q_d"] = quaternion_xyzw(np.array([roll, pitch, 1.0]))[[3, 0, 1, 2]]
+        log.add("vehicle_attitude_setpoint", us, thrust_body=(throttle, 0.0, 0.0), **demand)
+        log.add("vehicle_angular_velocity", us, xyz=rates)
+        for topic in ("airspeed_validated", "airspeed"):
+            log.add(topic, us, true_airspeed_m_s=row["airspeed_mps"])
         controls = (row["pwm_ail"] - 1500) / 500, (1500 - row["pwm_ele"]) / 500
         controls += (1500 - row["pwm_rud"]) / 500, (row["pwm_thr"] - 1000) / 1000
-        log.add("actuator_controls_0", us, *controls, 0, 0, 0, 0)
-        log.add("vehicle_global_position", us, lat, lon, height)
-        place = origin.latitude_deg, origin.longitude_deg, x[k], y[k], position[k, 2]
-        flags = origin.elevation_m, True, True
-        log.add("vehicle_local_position", us, *place, north, east, down, *flags)
-        fix = round(1e7 * lat), round(1e7 * lon), round(1e3 * height), north, east, down, 3
-        log.add("vehicle_gps_position", us, UNIX_US + round(1e6 * row["t_s"]), *fix)
+        log.add("actuator_controls_0", us, control=(*controls, 0, 0, 0, 0))
+        log.add("vehicle_global_position", us, lat=lat, lon=lon, alt=height)
+        reference = {"ref_lat": origin.latitude_deg, "ref_lon": origin.longitude_deg}
+        reference["ref_alt"] = origin.elevation_m
+        local = {"x": x[k], "y": y[k], "z": position[k, 2], "vx": north, "vy": east, "vz": down}
+        log.add("vehicle_local_position", us, xy_global=True, z_global=True, **reference, **local)
+        fix = {"time_utc_usec": UNIX_US + round(1e6 * row["t_s"]), "fix_type": 3}
+        fix |= {"vel_n_m_s": north, "vel_e_m_s": east, "vel_d_m_s": down}
+        whole = {"lat": round(1e7 * lat), "lon": round(1e7 * lon), "alt": round(1e3 * height)}
+        degrees = {"latitude_deg": lat, "longitude_deg": lon, "altitude_msl_m": height}
+        log.add("vehicle_gps_position", us, **fix, **whole, **degrees)
     path.write_bytes(log.bytes)
     return path
 

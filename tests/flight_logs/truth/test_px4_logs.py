@@ -15,6 +15,8 @@ import pytest
 from flight_logs import RECORDING, ROOT, recorded
 from px4_logs import (
     FORMATS,
+    NEW,
+    OLD,
     ORIGIN,
     QUADPLANE,
     QUADROTOR,
@@ -90,6 +92,19 @@ def test_ulg_returns_the_flight(imported):
         if name == "psi_rad":
             off = np.minimum(off, 2.0 * math.pi - off)
         assert (off <= 1e-5 * np.maximum(np.abs(wanted), 0.1)).all(), (name, off.max())
+
+
+@pytest.mark.parametrize("release", [OLD, NEW], ids=["1.6", "1.16"])
+def test_ulg_of_other_releases_is_the_same(folder, flight, release):
+    """Fields were renamed; 1.16 has no controls. Quaternions in single precision."""
+    found = read_flight(write_ulog(folder / "release.ulg", FLIGHT, formats=release))
+    wanted = read_flight(flight)
+    gone = {"pwm_ail", "pwm_ele", "pwm_thr", "pwm_rud"} if release is NEW else set()
+    assert found.columns.keys() == wanted.columns.keys() - gone
+    assert found.missing.keys() == gone
+    for name, values in found.columns.items():
+        near = 1e-9 if name in ("latitude_deg", "longitude_deg") else 1e-6
+        np.testing.assert_allclose(values, wanted.columns[name], rtol=1e-7, atol=near)
 
 
 def test_ulg_keeps_rates_and_wind(imported):
@@ -189,12 +204,6 @@ def test_ulg_columns_without_topics_are_left_out(folder):
     assert "no vehicle_global_position with lat, lon, alt" in found.no_position
 
 
-OLD = FORMATS | {
-    "vehicle_status": "uint8_t nav_state;uint8_t system_type;bool is_rotary_wing;bool is_vtol",
-    "vtol_vehicle_status": "uint8_t vtol_in_rw_mode",
-}
-
-
 @pytest.mark.parametrize(
     ("how", "text"),
     [
@@ -225,13 +234,12 @@ def test_ulg_of_an_unknown_vehicle_is_noted(folder):
 @pytest.mark.parametrize("old", [False, True])
 def test_ulg_of_a_vtol_is_its_wing_borne_part(folder, old):
     """From the message that says so to the one that says otherwise, each 0.48 s."""
-    wing, rotors = (0, 1) if old else (4, 3)
     path = write_ulog(
         folder / "vtol.ulg",
         FLIGHT,
         system_type=QUADPLANE,
         vehicle_type=1,
-        vtol=lambda t: wing if 5.0 < t < 12.0 else rotors,
+        vtol=lambda t: 4 if 5.0 < t < 12.0 else 2 if t < 14.0 else 3,
         formats=OLD if old else FORMATS,
     )
     found = read_flight(path)
