@@ -63,6 +63,7 @@ _ATTITUDE, _SETPOINT, _STATUS = "vehicle_attitude", "vehicle_attitude_setpoint",
 _VTOL, _LOCAL, _GLOBAL = "vtol_vehicle_status", "vehicle_local_position", "vehicle_global_position"
 _GPS = ("vehicle_gps_position", "sensor_gps")
 _WINDS = ("wind", "estimator_wind", "wind_estimate", "airspeed_wind")
+_WIND = ("windspeed_north", "windspeed_east")
 _CONTROLS = ("actuator_controls_1", "actuator_controls_0")  # of the wing of a VTOL; of others
 _REMEDY = "have it logged (SDLOG_PROFILE)"
 _Q = tuple(f"q[{k}]" for k in range(4))  # w, x, y, z
@@ -98,7 +99,7 @@ _FIELDS_BY_TOPIC: Mapping[str, tuple[str, ...]] = {
     "airspeed_validated": ("true_airspeed_m_s",),
     "airspeed": ("true_airspeed_m_s",),
     "vehicle_air_data": ("baro_alt_meter",),
-    **dict.fromkeys(_WINDS, ("windspeed_north", "windspeed_east")),
+    **dict.fromkeys(_WINDS, (*_WIND, "variance_north", "covariance_north")),
     **dict.fromkeys(_CONTROLS, tuple(f"control[{k}]" for k in range(4))),
 }
 # By topic: fields that are known only where the flag is at least this.
@@ -118,6 +119,8 @@ _VALID: Mapping[str, tuple[tuple[str, float, tuple[str, ...]], ...]] = {
             ("vel_ned_valid", 1.0, ("vel_n_m_s", "vel_e_m_s", "vel_d_m_s")),
         ),
     ),
+    # without an estimate both are 0
+    **dict.fromkeys(_WINDS, (("variance_north", 1e-12, _WIND), ("covariance_north", 1e-12, _WIND))),
 }
 _FIXED_WING = 1  # MAV_TYPE
 _VTOL_TYPES = range(19, 26)  # MAV_TYPE
@@ -269,8 +272,8 @@ MOTION = MotionSources(
     north=_speed_sources(0),
     east=_speed_sources(1),
     unix=tuple(utc_clock(topic, "time_utc_usec") for topic in _GPS),
-    wind_north=tuple(field_source(topic, "windspeed_north") for topic in _WINDS),
-    wind_east=tuple(field_source(topic, "windspeed_east") for topic in _WINDS),
+    wind_north=tuple(field_source(topic, _WIND[0]) for topic in _WINDS),
+    wind_east=tuple(field_source(topic, _WIND[1]) for topic in _WINDS),
 )
 
 

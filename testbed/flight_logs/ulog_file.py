@@ -292,7 +292,5 @@ def _damage_notes(scan: _Scan) -> Iterable[str]:
         yield f"the last message is cut off after {scan.cut} bytes"
     count, duration_ms = scan.dropouts_ms
     if count:
-        yield (
-            f"PX4 could not write {count} times, for {1e-3 * duration_ms:g} s in all: messages are "
-            "missing there"
-        )
+        number = f"{count} dropout{'s' * (count != 1)}"
+        yield f"{number} of the logger, {1e-3 * duration_ms:g} s in all: messages are missing there"

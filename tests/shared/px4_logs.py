@@ -35,7 +35,7 @@ FORMATS = {
         "uint64_t time_utc_usec;int32_t lat;int32_t lon;int32_t alt;float vel_n_m_s;"
         "float vel_e_m_s;float vel_d_m_s;uint8_t fix_type"
     ),
-    "wind": "float windspeed_north;float windspeed_east",
+    "wind": "float windspeed_north;float windspeed_east;float variance_north",
     "vehicle_status": "uint8_t nav_state;uint8_t system_type;uint8_t vehicle_type;bool is_vtol",
     "vtol_vehicle_status": "uint8_t vehicle_vtol_state",
     "cpuload": "float load",  # which is not read
@@ -46,7 +46,7 @@ OLD = {
     "airspeed": "float true_airspeed_m_s",
     "vehicle_local_position": FORMATS["vehicle_local_position"],
     "vehicle_gps_position": FORMATS["vehicle_gps_position"],
-    "wind_estimate": FORMATS["wind"],
+    "wind_estimate": "float windspeed_north;float windspeed_east;float covariance_north",
     "actuator_controls_0": FORMATS["actuator_controls_0"],
     "vehicle_status": "uint8_t nav_state;uint8_t system_type;bool is_rotary_wing;bool is_vtol",
     "vtol_vehicle_status": "bool vtol_in_rw_mode;bool vtol_in_trans_mode",
@@ -137,6 +137,7 @@ def write_ulog(
     vehicle_type=2,
     vtol=None,
     params=None,
+    wind_variance=0.1,
     boot_s=20.0,
     motion=None,
     origin=ORIGIN,
@@ -153,6 +154,7 @@ def write_ulog(
         vehicle_type: of vehicle_status.
         vtol: vehicle_vtol_state of a time; None: it is no VTOL.
         params: whole numbers by name.
+        wind_variance: of the estimates of the wind; 0: there is none.
         boot_s: time of the autopilot's clock at 0 s.
         motion: position and velocity (M, 3) about the origin, m, m/s; None: a circle.
         origin: of the positions.
@@ -182,7 +184,8 @@ def write_ulog(
                 rotary = {"vtol_in_rw_mode": state != 4, "vtol_in_trans_mode": state in (1, 2)}
                 log.add("vtol_vehicle_status", us, vehicle_vtol_state=state, **rotary)
             for topic in ("wind", "wind_estimate"):
-                log.add(topic, us, windspeed_north=WIND[0], windspeed_east=WIND[1])
+                spread = {"variance_north": wind_variance, "covariance_north": wind_variance}
+                log.add(topic, us, windspeed_north=WIND[0], windspeed_east=WIND[1], **spread)
             log.add("cpuload", us, load=0.5)
         rates = [row[n] for n in ("p_radps", "q_radps", "r_radps")]
         speeds = dict(zip(("rollspeed", "pitchspeed", "yawspeed"), rates, strict=True))

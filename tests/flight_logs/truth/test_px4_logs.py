@@ -199,6 +199,8 @@ def test_ulg_columns_without_topics_are_left_out(folder):
     }  # fmt: skip
     assert "no vehicle_angular_velocity, " in found.missing["p_radps"]
     assert "wind_north_mps" not in found.columns and "latitude_deg" in found.columns
+    found = read_flight(write_ulog(folder / "few.ulg", SHORT, wind_variance=0.0))
+    assert "wind_north_mps" not in found.columns
     found = read_flight(write_ulog(folder / "few.ulg", SHORT, left_out=POSITIONS))
     assert found.columns.keys() >= {*COMMANDS} and "latitude_deg" not in found.columns
     assert "no vehicle_global_position with lat, lon, alt" in found.no_position
