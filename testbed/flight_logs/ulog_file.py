@@ -218,17 +218,15 @@ def _key(payload: bytes) -> tuple[bytes, bytes, bytes]:
 
 
 def _is_readable(definition: bytes) -> bool:
-    """Check that a topic has a time, and not too many plain fields with different names."""
+    """Check that a topic has a time, and not too many plain fields."""
     _, _, text = definition.partition(b":")
     fields = [_FIELD.fullmatch(each) for each in text.split(b";") if each]
     if not all(fields) or not fields:
         return False
     found = [each.groups() for each in fields if each]
-    names = {name for _, _, name in found}
     size = sum(int(count or 1) for _, count, _ in found)
     return (
-        len(names) == len(found)
-        and size <= _MAX_FIELDS
+        size <= _MAX_FIELDS
         and all(kind in _PLAIN for kind, _, _ in found)
         and (b"uint64_t", None, TIME.encode()) in found
     )

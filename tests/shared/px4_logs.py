@@ -36,7 +36,10 @@ FORMATS = {
         "float vel_e_m_s;float vel_d_m_s;uint8_t fix_type"
     ),
     "wind": "float windspeed_north;float windspeed_east;float variance_north",
-    "vehicle_status": "uint8_t nav_state;uint8_t system_type;uint8_t vehicle_type;bool is_vtol",
+    "vehicle_status": (
+        "uint8_t nav_state;uint8_t system_type;uint8_t vehicle_type;bool is_vtol;"
+        "bool is_vtol_tailsitter"
+    ),
     "vtol_vehicle_status": "uint8_t vehicle_vtol_state",
     "cpuload": "float load",  # which is not read
 }
@@ -136,6 +139,7 @@ def write_ulog(
     system_type=FIXED_WING,
     vehicle_type=2,
     vtol=None,
+    tailsitter=False,
     params=None,
     wind_variance=0.1,
     boot_s=20.0,
@@ -153,6 +157,7 @@ def write_ulog(
         system_type: MAV_TYPE, also of the parameter, if `params` are not given.
         vehicle_type: of vehicle_status.
         vtol: vehicle_vtol_state of a time; None: it is no VTOL.
+        tailsitter: of vehicle_status.
         params: whole numbers by name.
         wind_variance: of the estimates of the wind; 0: there is none.
         boot_s: time of the autopilot's clock at 0 s.
@@ -178,10 +183,11 @@ def write_ulog(
             log.sync()
             kind = {"system_type": system_type, "vehicle_type": vehicle_type}
             kind |= {"is_vtol": vtol is not None, "is_rotary_wing": vehicle_type == 1}
+            kind["is_vtol_tailsitter"] = tailsitter
             log.add("vehicle_status", us, nav_state=3, **kind)
             if vtol:
                 state = vtol(row["t_s"])
-                rotary = {"vtol_in_rw_mode": state != 4, "vtol_in_trans_mode": state in (1, 2)}
+                rotary = {"vtol_in_rw_mode": state == 3, "vtol_in_trans_mode": state in (1, 2)}
                 log.add("vtol_vehicle_status", us, vehicle_vtol_state=state, **rotary)
             for topic in ("wind", "wind_estimate"):
                 spread = {"variance_north": wind_variance, "covariance_north": wind_variance}

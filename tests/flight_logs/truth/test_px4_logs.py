@@ -9,6 +9,7 @@ import os
 import random
 import struct
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -35,8 +36,11 @@ from testbed.cli.main import app
 from testbed.commissioning.command_files import COMMANDS, RESPONSES, read_commands
 from testbed.commissioning.replay_commands import respond
 from testbed.core.errors import InputError
+from testbed.core.geodetic import geodetic_from_ned
 from testbed.flight_logs import ulog_file
 from testbed.flight_logs.flight_import import read_flight, read_motions
+from testbed.flight_logs.flight_log import MessageTable
+from testbed.flight_logs.px4_flight import COLUMNS
 from testbed.guidance.recorded_path import read_recording, sample_recording
 
 FLIGHT = recorded()[:500]  # 20 s
@@ -216,6 +220,7 @@ def test_ulg_columns_without_topics_are_left_out(folder):
         ({"system_type": 10, "vehicle_type": 3}, "is a ground vehicle"),
         ({"system_type": 6, "vehicle_type": 0}, r"is no aircraft with a wing .MAV_TYPE 6"),
         ({"system_type": TAILSITTER, "vtol": lambda t: 4}, "is a tailsitter, whose logged"),
+        ({"system_type": QUADPLANE, "vtol": lambda t: 4, "tailsitter": True}, "is a tailsitter"),
         ({"system_type": QUADPLANE, "vtol": lambda t: 3}, "is never in wing-borne flight .by vtol"),
         ({"system": "ArduPilot"}, "a log of ArduPilot; give one of PX4"),
     ],
@@ -302,22 +307,68 @@ def test_ulg_cut_keeps_complete_messages(folder):
             read_flight(folder / "cut.ulg")
 
 
-def test_ulg_noise_costs_what_follows_to_a_sync(folder):
+@pytest.mark.parametrize(("added", "lost"), [(bytes(500), 0), (b"", 1), (b"", 30), (b"\5\0\1", 0)])
+def test_ulg_damage_costs_what_follows_to_a_sync(folder, added, lost):
     """Reading goes on at the next message of synchronisation, 0.48 s later at most."""
     good = write_ulog(folder / "noise.ulg", FLIGHT).read_bytes()
-    at = good.index(message("S", SYNC), len(good) // 2) + 600
-    (folder / "noise.ulg").write_bytes(good[:at] + bytes(500) + good[at:])
+    sync = message("S", SYNC)
+    at = good.index(sync, len(good) // 2) + 600
+    (folder / "noise.ulg").write_bytes(good[:at] + added + good[at + lost :])
     found = read_flight(folder / "noise.ulg")
     assert len(FLIGHT) - 12 <= len(found.columns["t_s"]) < len(FLIGHT)
-    assert any("bytes are damaged and were left out" in note for note in found.notes)
+    (note,) = [each for each in found.notes if "bytes are damaged and were left out" in each]
+    left = good.index(sync, at) - at - lost + len(added)
+    assert left <= int(note.split()[0]) < left + 100  # and the message before
+
+
+def test_ulg_messages_of_no_topic_are_counted(folder):
+    """A second subscription of a number does not take the messages of the first."""
+    good = write_ulog(folder / "no.ulg", SHORT).read_bytes()
+    half = good.index(message("S", SYNC), len(good) // 2)
+    extra = message("D", struct.pack("<HQ", 999, 0))
+    extra += b"".join(message("A", struct.pack("<BH", 0, k) + b"cpuload") for k in range(11))
+    (folder / "no.ulg").write_bytes(good[:half] + extra + good[half:])
+    found = read_flight(folder / "no.ulg")
+    assert len(found.columns["t_s"]) == len(SHORT)
+    assert "13 bytes are damaged and were left out" in found.notes
+
+
+def test_ulg_position_out_of_range_is_not_known(folder):
+    good = write_ulog(folder / "far.ulg", SHORT).read_bytes()
+    position, _ = circle(SHORT["t_s"])
+    latitude = struct.pack("<d", geodetic_from_ned(position, ORIGIN)[50, 0])
+    assert good.count(latitude) == 1
+    (folder / "far.ulg").write_bytes(good.replace(latitude, struct.pack("<d", 1e300)))
+    found = read_flight(folder / "far.ulg").columns["latitude_deg"]
+    assert len(found) == len(SHORT) and np.ptp(found) < 0.01
+
+
+def test_ulg_airspeed_is_that_which_came_more_often():
+    """Never below 0, as a sensor at rest shows; of equals the validated one."""
+    (source,) = COLUMNS["airspeed_mps"]
+    for counts, name in (((10, 2), "airspeed_validated"), ((2, 10), "airspeed"), ((3, 3), None)):
+        tables = {
+            topic: MessageTable(
+                np.arange(float(count)), {"true_airspeed_m_s": np.full(count, -1.0)}
+            )
+            for topic, count in zip(("airspeed_validated", "airspeed"), counts, strict=True)
+        }
+        found = source(SimpleNamespace(tables=tables))
+        assert found.source == f"{name or 'airspeed_validated'}.true_airspeed_m_s"
+        assert found.values.tolist() == [0.0] * max(counts)
 
 
 def test_ulg_damaged_definition_is_named(folder):
     good = write_ulog(folder / "d.ulg", SHORT).read_bytes()
-    (folder / "d.ulg").write_bytes(good.replace(b"float[3] xyz;", b"float[3]_xyz;"))
+    bad = good.replace(b"float[3] xyz;", b"float[3]_xyz;").replace(
+        b"vehicle_status:uint64_t timestamp;", b"vehicle_status:uint64_t timestomp;"
+    )
+    (folder / "d.ulg").write_bytes(bad)
     found = read_flight(folder / "d.ulg")
-    assert "the definition of vehicle_angular_velocity is damaged" in found.notes
-    assert "p_radps" in found.missing
+    names = "vehicle_angular_velocity, vehicle_status"
+    assert f"the definition of {names} is damaged" in found.notes
+    assert found.missing.keys() == {"p_radps", "q_radps", "r_radps"}
+    assert len(found.columns["t_s"]) == len(SHORT)
 
 
 def damage(good, rng):
@@ -357,7 +408,11 @@ ADD = message("A", struct.pack("<BH", 0, 1) + b"vehicle_attitude")
 ROW = message("D", struct.pack("<HQ", 1, 1) + bytes(16))
 HOSTILE = {
     "large array": definition("vehicle_attitude", "float[65535] q") + ADD + ROW,
-    "many arrays": definition("vehicle_attitude", ";".join(f"float[9999] {n}" for n in "abc" * 99)),
+    "many arrays": (
+        definition("vehicle_attitude", ";".join(f"float[9999] n{k}" for k in range(200)))
+        + ADD
+        + ROW
+    ),
     "itself": definition("vehicle_attitude", "vehicle_attitude[99] q") + ADD + ROW,
     "each other": definition("vehicle_attitude", "b[9999] q")
     + definition("b", "vehicle_attitude q"),
@@ -373,14 +428,15 @@ HOSTILE = {
 
 
 @pytest.mark.parametrize("content", HOSTILE.values(), ids=HOSTILE)
-def test_ulg_hostile_content_is_an_error_soon(folder, content):
-    """Each of them alone would keep pyulog busy, or fill the memory, or raises in it."""
+def test_ulg_hostile_content_is_an_error_soon(folder, content, capfd):
+    """Most of them alone would keep pyulog busy, fill the memory, or raise in it."""
     path = folder / "hostile.ulg"
     path.write_bytes(HEAD + content)
     start = time.process_time()
     with pytest.raises(InputError, match=r"hostile.ulg: .*vehicle_attitude"):
         read_flight(path)
     assert time.process_time() - start < 2.0
+    assert capfd.readouterr() == ("", "")
 
 
 def test_ulg_has_bounded_numbers_of_topics(folder):
