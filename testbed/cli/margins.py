@@ -133,10 +133,10 @@ def margins_command(
     least of |1 + L| of the open loop L. Of both directions each number is the worse one. Followers
     that receive from each other have a margin of message delay, in straight flight.
 
-    Measured are: the least damped oscillation of bank and pitch after a kick of 0.02° of one
-    follower's commands; when 5 % are left of a displacement of 1 m to the right and down; the
-    largest factor and the largest additional latency of one command of one follower with which
-    oscillations still decay.
+    --method flown measures by flights: the least damped oscillation of bank and pitch after a kick
+    of 0.02° of one follower's commands; the time until 5 % are left of a displacement of 1 m to the
+    right and down; and the largest factor and additional latency of one command of one follower
+    with which oscillations still decay.
     """
     from testbed.cli.progress import progress_counter
     from testbed.linear.pooled_margins import margins_of, predicted_margins_of, to_document
