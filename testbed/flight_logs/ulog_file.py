@@ -151,8 +151,10 @@ def _scan(path: Path, data: bytes, wanted: Collection[bytes], params: Collection
                     scan.added[number] = name, instance
                     if name in wanted:
                         scan.data[number] = bytearray()
-            elif kind == _PARAM and _key(data[payload:end])[1] in params:
-                scan.params += data[start:end]
+            elif kind == _PARAM:
+                number_type, name, value = _key(data[payload:end])
+                if name in params and number_type in (b"int32_t", b"float") and len(value) == 4:
+                    scan.params += data[start:end]
             elif kind == _INFO and _key(data[payload:end])[1] == b"sys_name":
                 scan.system = _key(data[payload:end])[2][:40].decode("utf-8", "replace")
             elif kind == _DROPOUT:
@@ -218,7 +220,7 @@ def _key(payload: bytes) -> tuple[bytes, bytes, bytes]:
 
 
 def _is_readable(definition: bytes) -> bool:
-    """Check that a topic has a time, and not too many plain fields."""
+    """Check that a topic has a time, and not too many plain fields with different names."""
     _, _, text = definition.partition(b":")
     fields = [_FIELD.fullmatch(each) for each in text.split(b";") if each]
     if not all(fields) or not fields:
@@ -226,7 +228,8 @@ def _is_readable(definition: bytes) -> bool:
     found = [each.groups() for each in fields if each]
     size = sum(int(count or 1) for _, count, _ in found)
     return (
-        size <= _MAX_FIELDS
+        len({name for _, _, name in found}) == len(found)
+        and size <= _MAX_FIELDS
         and all(kind in _PLAIN for kind, _, _ in found)
         and (b"uint64_t", None, TIME.encode()) in found
     )

@@ -418,6 +418,7 @@ HOSTILE = {
     + definition("b", "vehicle_attitude q"),
     "no time": message("F", b"vehicle_attitude:float[4] q;") + ADD + ROW,
     "two names": definition("vehicle_attitude", "float q;float q") + ADD + ROW,
+    "parameter": message("P", b"\x10int32_t MAV_TYPE"),
     "subscriptions": definition("vehicle_attitude", "float[4] q") + 50_000 * ADD,
     "empty messages": 300_000 * b"\0\0D",
     "zeros": bytes(1_000_000),
@@ -446,13 +447,20 @@ def test_ulg_has_bounded_numbers_of_topics(folder):
         read_flight(path)
 
 
-def test_ulg_errors_of_pyulog_have_the_file(folder, monkeypatch):
-    """Whatever it raises; lack of memory stays what it is."""
+def test_ulg_errors_of_pyulog_have_the_file(folder, monkeypatch, capfd):
+    """Whatever it raises, without what it prints; lack of memory stays what it is."""
     path = write_ulog(folder / "x.ulg", SHORT)
-    for error in (KeyError("a"), RuntimeError("b\nc"), RecursionError(), struct.error("d")):
-        monkeypatch.setattr("pyulog.ULog", lambda data, error=error: (_ for _ in ()).throw(error))
-        with pytest.raises(InputError, match="x.ulg: pyulog cannot decode it: .*; download"):
+    for error in (KeyError("a"), RuntimeError("b\nc"), RecursionError(), MemoryError()):
+
+        def decode(data, error=error):
+            print("Warning")
+            raise error
+
+        monkeypatch.setattr("pyulog.ULog", decode)
+        with pytest.raises((InputError, MemoryError)) as caught:
             ulog_file.read_topics(path, {"vehicle_attitude": ("q[0]",)}, ())
-    monkeypatch.setattr("pyulog.ULog", lambda data: (_ for _ in ()).throw(MemoryError))
-    with pytest.raises(MemoryError):
-        ulog_file.read_topics(path, {"vehicle_attitude": ("q[0]",)}, ())
+        text = str(caught.value)
+        if not isinstance(error, MemoryError):
+            assert f"{path}: pyulog cannot decode it: " in text and "\n" not in text
+        assert isinstance(caught.value, MemoryError) == isinstance(error, MemoryError)
+    assert capfd.readouterr() == ("", "")
