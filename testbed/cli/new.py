@@ -83,6 +83,7 @@ def new_law_command(
     console.write_line(f" written: {', '.join(str(target / file) for file in texts)}")
     console.write_line(f" next: testbed validate {target / name}.yaml")
     console.write_line(f"       testbed run {target / name}.yaml")
+    console.write_line(f"       testbed margins {target / name}.yaml")
     console.write_line(f"       testbed sweep {target / name}-study.yaml")
 
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import ast
+import inspect
 import re
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from math import isfinite
 from pathlib import Path
@@ -502,6 +505,7 @@ _ANSI = re.compile(r"\x1b\[[0-9;]*m")
 _HEADING = "Failed in nopython mode pipeline"
 _SPECIFIC = re.compile(r"^\s*\w+Error: (?!Failed in )(.+)$", re.M)
 _NO_CALL = re.compile(r"^\s*>>> (.+)$", re.M)
+_UNKNOWN_NAME = re.compile(r"name '(\w+)' is not defined")
 _RAISED_FROM = re.compile(r"\.* *Raised from .*")
 
 
@@ -519,8 +523,42 @@ def describe_compile_error(error: Exception, law: Callable[..., Any]) -> str:
         reason = specific[-1]
     elif call := _NO_CALL.search(text):
         reason = f"numba has no {call[1]}"
+    if not reason:  # numba has no text for what it does not foresee
+        reason = f"numba gives no reason ({type(error).__name__})"
+        if assigned := _assigned_vector(law):
+            line, field = assigned
+            reason = f"memory.{field} is a vector (write memory.{field}[:] = …)"
+    if not place and (unknown := _UNKNOWN_NAME.search(reason)):
+        line = _line_of(function, lambda node: getattr(node, "id", "") == unknown[1]) or line
     reason = _RAISED_FROM.sub("", _without_fields(reason))
     return f"{file}:{line}: {function.__name__} cannot be compiled: {reason.rstrip('.')}"
+
+
+def _assigned_vector(law: Any) -> tuple[int, str] | None:  # noqa: ANN401 - numba's dispatcher
+    """Return line and name of a vector of the memory to which a law assigns; None: of none."""
+    memory: np.dtype[Any] | None = law.law_outputs.memory
+    for field in () if memory is None else memory.names or ():
+        if memory is not None and memory[field].shape:
+
+            def assigns(node: ast.AST, field: str = field) -> bool:
+                targets = node.targets if isinstance(node, ast.Assign) else ()
+                return any(ast.unparse(each) == f"memory.{field}" for each in targets)
+
+            if line := _line_of(python_function(law), assigns):
+                return line, field
+    return None
+
+
+def _line_of(function: Callable[..., Any], is_it: Callable[[ast.AST], bool]) -> int | None:
+    """Return the line of a file in which a function's code has something first; None: nowhere."""
+    try:
+        lines, first = inspect.getsourcelines(function)
+        tree = ast.parse(textwrap.dedent("".join(lines)))
+    except (OSError, SyntaxError, TypeError):  # there is no source, as of a prompt
+        return None
+    found = [node.lineno for node in ast.walk(tree) if isinstance(node, ast.stmt | ast.expr)
+             and is_it(node)]  # fmt: skip
+    return first + min(found) - 1 if found else None
 
 
 def _without_fields(text: str) -> str:

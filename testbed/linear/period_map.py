@@ -269,12 +269,31 @@ def _check_memory(
             (old.c_command[0][:, own].T, new.c_command[:, own].T),
         )
         fields = [label.partition("[")[0] for label in old.labels if label.startswith(f"{LAW}/")]
+        used = _used(old, own)
         for before, after in pairs:
             for field in dict.fromkeys(fields):
                 rows = np.array([each == field for each in fields])
+                if not used[rows].any():  # as a number that is only logged
+                    continue
                 largest = float(np.abs(before[rows]).max())
                 if np.abs(after - before)[rows].max() > tolerance * largest + _NO_EFFECT:
                     _refuse_memory(old.name, field.removeprefix(f"{LAW}/"))
+
+
+def _used(follower: FollowerMap, own: BoolArray) -> BoolArray:
+    """Return which numbers of a law's memory have an effect on a command or on another state.
+
+    Args:
+        follower: map of it.
+        own: (S,) which of its numbers are memory of the law.
+    """
+    a = follower.a[0]
+    outside = np.concatenate([a[~own][:, own], follower.c_command[0][:, own]])
+    used: BoolArray = (np.abs(outside) > _NO_EFFECT).any(axis=0)
+    within = np.abs(a[own][:, own]) > _NO_EFFECT
+    for _ in range(len(used)):
+        used = used | within[used].any(axis=0)
+    return used
 
 
 def _refuse_memory(follower: str, field: str) -> None:

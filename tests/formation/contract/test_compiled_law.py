@@ -291,6 +291,26 @@ def test_kernel_runs_as_python_in_a_debugger(chases):
 
 # errors
 
+
+def test_error_names_the_line_of_its_cause(tmp_path, configured):
+    """Where numba itself names none: an unknown name, and a vector of the memory that is assigned.
+
+    For the latter numba has no text at all.
+    """
+    error = law_error(write(tmp_path, "pass\n    return FbwaCommand(spd, 0.0, 0.4)"), configured)
+    text = (tmp_path / "mine.py").read_text().splitlines()
+    assert f"mine.py:{1 + text.index('    return FbwaCommand(spd, 0.0, 0.4)')}: " in error
+    memory = "@testbed.kernel(memory=[('mean_ned', float, 3)])"
+    (tmp_path / "vector.py").write_text(
+        f"import testbed\nfrom testbed.law import FbwaCommand\n\n{memory}\n"
+        "def mine(now, own, inbox, memory, config):\n    memory.mean_ned = 0.5 * own.euler\n"
+        "    return FbwaCommand(0.0, 0.0, 0.4)\n"
+    )
+    error = law_error(f"{tmp_path / 'vector.py'}:mine", configured)
+    assert "vector.py:6: mine cannot be compiled: memory.mean_ned is a vector" in error
+    assert error.endswith("(write memory.mean_ned[:] = …)")
+
+
 NOT_COMPILED = [
     (
         "return FbwaCommand(own.postion_ned[0], 0.0, 0.4)",

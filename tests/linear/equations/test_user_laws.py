@@ -285,6 +285,18 @@ def test_memory_in_wrong_axes_is_refused(turns, monkeypatch):
     assert right < 1e-4 < 0.02 < max(found)
 
 
+def test_numbers_that_nothing_reads_are_not_checked():
+    """As one that is only logged: whether they change in a turn is of no importance.
+
+    Of these three the first has an effect on a command, the second on the first.
+    """
+    own = np.array([False, True, True, True])
+    a, command = np.zeros((1, 4, 4)), np.zeros((1, 3, 4))
+    command[0, 1, 1] = a[0, 1, 2] = a[0, 3, 1] = 0.1
+    follower = period_map.FollowerMap("uav1", (), a, command, *[np.zeros(0)] * 3, {}, {})
+    assert period_map._used(follower, own).tolist() == [True, True, False]
+
+
 def memory_problem(*fields):
     """Return the problem of a law with this memory, which is not compiled."""
     law = CompiledLaw.__new__(CompiledLaw)
