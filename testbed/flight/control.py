@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from math import atan2, isnan, nan
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -75,6 +75,7 @@ def _memory_key(number: int, group: ControlGroup) -> str:
 class LawSurroundings:
     """What a user's law reads besides estimates and motions, and what it gives besides commands."""
 
+    ADDRESSES: ClassVar = ("declared",)  # faults, whose records are taken over one by one
     wind: WindEstimates
     declared: Declared
     payloads: Array  # (n, N, K) numbers of the law in the newest messages

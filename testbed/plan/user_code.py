@@ -469,7 +469,9 @@ def _check_interleaved(
     """Check that a flight is the same while another one is stepped at the same times."""
     other = []
     for now, own, inbox in flight:
-        moved = OwnState(*(each * (1.0 + 0.1 * rng.random(each.shape)) for each in own))
+        moved = OwnState(
+            *(each * (1.0 + 0.1 * draws.random(each.shape)) for each, draws in _drawing(own, rng))
+        )
         other.append((now, moved, inbox))
     memories = [law.start(_read_only(each[0][1])) for each in (other, flight)]
     for one, two, expected in zip(other, flight, commands, strict=True):
@@ -573,8 +575,10 @@ def _check_locality(
     """Check that a follower's command does not depend on the inputs of the others."""
     changed = []
     for now, own, inbox in flight:
-        other_own = OwnState(*(_perturb_others(each, rng, row) for each in own))
-        content = (_perturb_others(each, rng, row) for each in inbox[2:])
+        other_own = OwnState(
+            *(_perturb_others(each, draws, row) for each, draws in _drawing(own, rng))
+        )
+        content = [_perturb_others(each, draws, row) for each, draws in _drawing(inbox, rng)][2:]
         changed.append((now, other_own, Inbox._make((*inbox[:2], *content))))
     others = [name for name in config.names if name != config.names[row]]
     for before, after in zip(commands, _fly(law, config, changed), strict=True):
@@ -585,6 +589,18 @@ def _check_locality(
                     f"returns another {field} for {config.names[row]} when only inputs of "
                     f"{', '.join(others)} change (row i may use row i of own and inbox only)",
                 )
+
+
+def _drawing(
+    record: OwnState | Inbox, rng: np.random.Generator
+) -> Iterator[tuple[Any, np.random.Generator]]:
+    """Yield the fields of a record, each with a generator.
+
+    Fields that were added later have one of their own, so that the other trials stay the same.
+    """
+    for k, each in enumerate(record):
+        times = isinstance(record, Inbox) and k < 2  # which are not changed
+        yield each, np.random.default_rng(SEED) if times or k >= 7 else rng
 
 
 def _perturb_others(values: Any, rng: np.random.Generator, row: int) -> Any:  # noqa: ANN401

@@ -56,7 +56,7 @@ def package(tmp_path):
     (package / "__init__.py").touch()
     core = Path(compiling.__file__).parent
     for module in (
-        *("compile.py", "field_docs.py", "kept_files.py", "kernel_code.py"),
+        *("compile.py", "field_docs.py", "flags.py", "kept_files.py", "kernel_code.py"),
         *("machine_code.py", "records.py"),
     ):
         shutil.copy(core / module, package / "core")

@@ -198,6 +198,7 @@ def make_objects(folder):
         "UnicycleCommand": law.UnicycleCommand(*np.zeros((5, 3))),
         "VehicleState": law.VehicleState(*np.zeros((7, 3))),
         "LimiterFlag": law.LimiterFlag(1),
+        "Saturation": law.Saturation(1),
         "FollowerConfig": law.FollowerConfig(*range(len(law.FollowerConfig._fields))),
         "FormationConfig": simulation._world.formation.built_control.config,
         "HoldSlotEnv": hold,

@@ -18,9 +18,12 @@ from testbed.core.records import (
     allocate,
     write_fields,
 )
-from testbed.flight.control import Control, ControlGroup, validate_command
+from testbed.flight.control import Control, ControlGroup, LawSurroundings, validate_command
+from testbed.flight.law_inputs import declared_faults, wind_estimates
+from testbed.flight.law_reports import LawReports
 from testbed.formation.control_step import initial_controllers, make_neighbours
 from testbed.formation.law import FormationConfig
+from testbed.formation.law_outputs import Outputs
 
 NAMES = ("uav1", "uav2", "uav3", "uav4", "uav5")
 
@@ -71,6 +74,12 @@ class Run:
             np.zeros((n + 1, 3)),
             None,
             (self.aircraft, self.followers, self.links),
+            LawSurroundings(
+                wind_estimates(None, self.aircraft),
+                declared_faults(None),
+                np.zeros((n, n + 1, 0)),
+                LawReports(NAMES[:n], Outputs(), np.zeros((n + 1, 0))),
+            ),
         )
         self.steps = [self.control.steps(number) for number in range(len(groups))]
 

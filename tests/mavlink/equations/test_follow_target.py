@@ -239,6 +239,7 @@ def test_checksum_pass_rate_by_number_of_errors(bits):
         number = np.arange(first, first + count)
         wrong = flip_bits(
             np.repeat(frames, count, axis=0),
+            np.full(count, frames.shape[1]),
             np.full(count, bits),
             np.repeat(key, count, axis=0),
             number,
@@ -260,7 +261,8 @@ def test_flipped_bits_are_uniform():
     bits = rng.choice([1, 2, 9, 839, 840], count)
     keys = rng.integers(0, 2**32, (count, 2), dtype=np.uint64)
     number, copy = rng.integers(0, 1000, count), rng.integers(0, 2, count)
-    turned = np.unpackbits(flip_bits(frames, bits, keys, number, copy) ^ frames, axis=1)
+    length = np.full(count, frames.shape[1])
+    turned = np.unpackbits(flip_bits(frames, length, bits, keys, number, copy) ^ frames, axis=1)
     assert np.array_equal(turned.sum(axis=1), bits)
     few = turned[bits < 100].sum(axis=0)
     assert chisquare(few).pvalue > LEVEL
@@ -268,5 +270,6 @@ def test_flipped_bits_are_uniform():
     left = 1 - turned[bits == 839]
     assert chisquare(left.sum(axis=0).reshape(20, 42).sum(axis=1)).pvalue > LEVEL
     some = np.arange(0, count, 7)
-    alone = flip_bits(frames[some], bits[some], keys[some], number[some], copy[some])
+    others = bits[some], keys[some], number[some], copy[some]
+    alone = flip_bits(frames[some], length[some], *others)
     assert np.array_equal(np.unpackbits(alone ^ frames[some], axis=1), turned[some])

@@ -111,14 +111,17 @@ def test_law_receives_own_estimate_and_messages(late, tmp_path):
     for k, (now, own, inbox) in enumerate(received):
         estimated, truth = frames[k].estimate, frames[k].truth
         assert now == frames[k].time_s
-        for name in type(own)._fields:
+        assert not own.wind_ned.any()  # there is none
+        for name in type(estimated)._fields:
             assert np.array_equal(getattr(own, name), getattr(estimated, name)[1:]), name
         assert (own.position_ned[0] != truth.position_ned[1]).all()
         assert np.array_equal(own.position_ned[1:], truth.position_ned[2:])
         others = ~np.eye(4, dtype=bool)[1:]  # a follower's own row is written without a radio
         assert (inbox.stamp_s[~others] == now).all()
         if k < late:
-            assert all(np.isnan(array[others]).all() for array in inbox)
+            assert not inbox.failed.any()
+            known = inbox._replace(failed=inbox.stamp_s)
+            assert all(np.isnan(array[others]).all() for array in known)
             continue
         sent = frames[k - late]
         assert (inbox.stamp_s[others] == sent.time_s).all()

@@ -304,7 +304,7 @@ def test_the_extrapolated_inbox():
     vectors = ("position_ned", "velocity_ned", "acceleration_ned")
     for name, values in zip(vectors, rng.normal(size=(3, *links.shape, 3)), strict=True):
         links[name] = values
-    inputs = allocate_inputs(*links.shape)
+    inputs = allocate_inputs(*links.shape, 0)
     control._inputs_call(control.groups[0], *inputs)(10.0)
     inbox = inputs[1]
     moved = links["position_ned"] + 0.3 * links["velocity_ned"]

@@ -82,11 +82,12 @@ def test_compare_tells_what_got_worse(runs):
 def made_up_margins(monkeypatch):
     """Margins nearly as those that are predicted, which takes seconds: `tune` below does it."""
 
-    def predict(bank_deg, scenario):
-        late = {3.0: 0.2, BAD: 0.1, HARMLESS: 0.195}[scenario.formation.k]
-        return {"margins": {"throttle_latency_s": late, "damping": 0.3}}
+    monkeypatch.setattr("testbed.studies.margin_changes.predict_numbers", made_up)
 
-    monkeypatch.setattr("testbed.studies.margin_changes.predict_numbers", predict)
+
+def made_up(bank_deg, scenario):
+    late = {3.0: 0.2, BAD: 0.1, HARMLESS: 0.195}[scenario.formation.k]
+    return {"margins": {"throttle_latency_s": late, "damping": 0.3}}
 
 
 @pytest.mark.usefixtures("made_up_margins")
