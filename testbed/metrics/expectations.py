@@ -68,7 +68,8 @@ def _numbers(
 ) -> Iterator[tuple[str | None, str | None, float | None]]:
     """Yield window, follower and value of a quantity's numbers; None: of all.
 
-    A quantity that windows have is read from them only.
+    A quantity that windows have is read from them only, unless the whole flight has one number of
+    it, as of the smallest separation.
     """
     windows = document["windows"]
     places: list[tuple[str | None, Any]] = [
@@ -76,7 +77,8 @@ def _numbers(
         for name, numbers in windows.items()
         if quantity in numbers and numbers["covered_s"]
     ]
-    if not any(quantity in numbers for numbers in windows.values()):
+    one = quantity in document and not isinstance(document[quantity], Mapping)
+    if one or not any(quantity in numbers for numbers in windows.values()):
         places = [(None, document[quantity])]
     if quantity == "left_speed_set":
         places = [(None, {name: each["times"] for name, each in document[quantity].items()})]
