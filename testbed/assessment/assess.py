@@ -5,12 +5,13 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from testbed.assessment.assessed import Assessed
-from testbed.assessment.assumed_parameters import assumed_files
+from testbed.assessment.assumed_parameters import ComparedFile, assumed_files, compared_files
 from testbed.assessment.conditions import CONDITIONS
 from testbed.assessment.measures import (
     FAULTS,
@@ -100,6 +101,7 @@ def assess(
     """
     scenario = assessed.scenario()
     check_assessable(scenario)
+    compared = compared_files(assessed.params, resolve(scenario))
     assessed.criteria()
     whole = assessed.file.resolve(assessed.overrides)
     for line in unchecked_bounds(whole, scenario.scenario.duration_s):
@@ -119,7 +121,8 @@ def assess(
                 rows[name] = row
                 store.write(name, row)
                 report(f"{name}: {brief(name, row)}")
-    return document(assessed, scenario, {name: rows[name] for name in ROWS if name in rows})
+    found = {name: rows[name] for name in ROWS if name in rows}
+    return document(assessed, scenario, found, compared)
 
 
 def _measure(
@@ -276,12 +279,18 @@ class _StoredRows:
                 file.write(to_json({"depends_on": self._digest, "row": row}))
 
 
-def document(assessed: Assessed, scenario: Scenario, rows: Mapping[str, Row]) -> dict[str, Any]:
+def document(
+    assessed: Assessed,
+    scenario: Scenario,
+    rows: Mapping[str, Row],
+    compared: Sequence[ComparedFile] = (),
+) -> dict[str, Any]:
     """Return the document of the page: rows, and what follows from them."""
+    files = [asdict(each) for each in compared]
     nominal = rows.get("nominal", {})
     whole_s = assessed.file.resolve(assessed.overrides).scenario.duration_s
     charges = energy(nominal, nominal["flown_s"], whole_s) if "charge" in nominal else []
-    short = shortcomings(rows, charges)
+    short = shortcomings(rows, charges, files)
     seeds = assessed.seeds
     return {
         "schema": SCHEMA,
@@ -306,6 +315,7 @@ def document(assessed: Assessed, scenario: Scenario, rows: Mapping[str, Row]) ->
             }
             for each in assumed_files(scenario, resolve(scenario))
         ],
+        "compared": files,
         "not_said": list(NOT_SAID),
         "command": assessed.command(),
         "code": describe_code(),

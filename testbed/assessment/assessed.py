@@ -31,6 +31,7 @@ class Assessed:
         overrides: of all flights, texts `key.path=value`.
         duration_s: of all flights, s; None: that of the scenario.
         flights: number of seeds of each row that seeds change.
+        params: parameter files of real aircraft, `FILE` or `NAME=FILE`.
     """
 
     name: str
@@ -38,6 +39,7 @@ class Assessed:
     overrides: tuple[str, ...] = ()
     duration_s: float | None = None
     flights: int = FLIGHTS
+    params: tuple[str, ...] = ()
 
     def scenario(self, settings: Sequence[str] = (), seed: int | None = None) -> Scenario:
         """Return the scenario of a flight.
@@ -89,7 +91,9 @@ class Assessed:
     def command(self, row: str = "") -> str:
         """Return the command that finds one row again, or all."""
         flights = ["--flights", str(self.flights)] if self.flights != FLIGHTS else []
-        return self._command("assess", (), [*(["--only", row] if row else []), *flights])
+        params = [word for each in self.params for word in ("--param", each)]
+        more = ["--only", row] if row else params
+        return self._command("assess", (), [*more, *flights])
 
     def margins_command(self, bank_deg: float, climb_mps: float, settings: Sequence[str]) -> str:
         """Return the command that predicts margins again."""

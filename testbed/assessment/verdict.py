@@ -7,6 +7,7 @@ from typing import Any
 
 from testbed.assessment.conditions import CONDITIONS
 from testbed.assessment.measures import FAULTS, OUTAGES
+from testbed.core.records import join_names
 
 MIN_FACTOR, MIN_PHASE_DEG = 2.0, 30.0  # margins of a command: 6 dB
 CHARGE_RESERVE = 0.2  # of a full battery, at the end of the flight
@@ -16,7 +17,9 @@ GO, NO_GO, INCOMPLETE = "go", "no-go", "incomplete"
 Row = Mapping[str, Any]
 
 
-def shortcomings(rows: Mapping[str, Row], energy: list[dict[str, Any]]) -> list[dict[str, str]]:
+def shortcomings(
+    rows: Mapping[str, Row], energy: list[dict[str, Any]], compared: list[dict[str, Any]]
+) -> list[dict[str, str]]:
     """Return what speaks against the flight, as `row` and `text`."""
     found = []
     for name, row in rows.items():
@@ -24,6 +27,9 @@ def shortcomings(rows: Mapping[str, Row], energy: list[dict[str, Any]]) -> list[
     for each in energy:
         if each["short"]:
             found.append({"row": "energy", "text": f"{each['aircraft']}: {each['text']}"})
+    for each in compared:
+        if each["differences"]:
+            found.append({"row": "parameters", "text": _of_parameters(each)})
     return found
 
 
@@ -40,6 +46,17 @@ def _of_row(name: str, row: Row) -> Iterator[str]:
             yield from _of_margins(case)
     elif name in CONDITIONS and row["value"] is None and not row.get("skipped"):
         yield f"no value: {no_value(row)}"
+
+
+def _of_parameters(compared: Row) -> str:
+    differences, names = compared["differences"], compared["aircraft"]
+    count = f"{len(differences)} parameter{'s' * (len(differences) != 1)}"
+    more = f", and {len(differences) - 3} more" if len(differences) > 3 else ""
+    return (
+        f"{count} of {join_names(names)} not as in {compared['file']}: "
+        f"{'; '.join(differences[:3])}{more} (fly with those of the file: its path as tune of "
+        f"{join_names(names)})"
+    )
 
 
 def no_value(row: Row) -> str:

@@ -53,6 +53,14 @@ def assess_command(
         list[str] | None,
         value_option("ROW", "Find this row only, such as loss; may be repeated."),
     ] = None,
+    param: Annotated[
+        list[str] | None,
+        value_option(
+            "[NAME=]FILE",
+            "Parameters of the real aircraft NAME, or of all, as a ground station saves them: "
+            "no-go where those of these flights differ; may be repeated.",
+        ),
+    ] = None,
     out: Annotated[
         Path | None,
         value_option("DIR", "Folder to create.  \\[default: logs/assessments/SCENARIO/UTC-ID]"),
@@ -97,6 +105,7 @@ def assess_command(
             tuple(overrides or ()),
             duration_s,
             FLIGHTS if flights is None else flights,
+            tuple(param or ()),
         )
         name = assessed.scenario().name
         folder = find_folder(name, out, resume=resume)

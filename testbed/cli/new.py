@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from testbed.cli.options import JsonFile, require_finite, value_option
+from testbed.cli.figure_options import DEFAULT_LOOK, FigureLook, draws_figures
+from testbed.cli.options import JsonFile, figure_option, require_finite, value_option
 from testbed.cli.output import (
     MISSING,
     message_console,
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from testbed.commissioning.airframe_import import CopiedAircraft
     from testbed.commissioning.new_aircraft import DerivedAircraft
     from testbed.vehicle.trim import TrimResult
+    from testbed.views.panels import PanelGrid
 
 PICTURE = "envelope.png"
 _TEMPLATES = Path(__file__).parent / "new_files"
@@ -152,6 +154,7 @@ def new_study_command(
     result_console(None).write_line(f" written: {target}; next: testbed sweep {target}")
 
 
+@draws_figures("plot")
 def new_aircraft_command(
     file: Annotated[
         Path, typer.Argument(metavar="FILE.xml", help="The JSBSim file of the aircraft.")
@@ -173,6 +176,13 @@ def new_aircraft_command(
         ),
     ] = None,
     json: JsonFile = None,
+    plot: Annotated[
+        Path | None,
+        figure_option(
+            "Draw the picture of the folder, level flight, here too: .png, .pdf or .svg."
+        ),
+    ] = None,
+    look: FigureLook = DEFAULT_LOOK,
 ) -> None:
     """Make an aircraft that flies from its JSBSim file: copy, trim, derive gains, fly it.
 
@@ -196,6 +206,7 @@ def new_aircraft_command(
     from testbed.commissioning.replay_commands import BASE_RATE_HZ
     from testbed.compiled.compiled_fleet import untranslated
     from testbed.vehicle.jsbsim_adapter import SHARED_FILES, airframe
+    from testbed.views.matplotlib_backend import save_figure
 
     target = Path(file.stem) if into is None else into
     check_folder_name(target.name)
@@ -215,7 +226,10 @@ def new_aircraft_command(
             raise
         write_aircraft_files(copied, found)
         reasons = [copied.in_originals(each) for each in untranslated(folder, BASE_RATE_HZ)]
-        _draw(folder / PICTURE, found)
+        picture = _picture(target.name, found)
+        save_figure(picture, folder / PICTURE)
+    if plot is not None:
+        look.save(picture, plot)
     write_json_output(json, _document(target, copied, found, reasons))
     console = result_console(json)
     console.write_heading(target.name, f" · from {file}")
@@ -228,18 +242,17 @@ def new_aircraft_command(
         console.write_line(f" {line}")
 
 
-def _draw(path: Path, found: DerivedAircraft) -> None:
+def _picture(name: str, found: DerivedAircraft) -> PanelGrid:
     import numpy as np
 
     from testbed.views.envelope_figure import EnvelopeFigureData, envelope_figure
-    from testbed.views.matplotlib_backend import save_figure
 
     trims, level = found.envelope.trims, found.level
     params, steps = found.check.params, found.steps
     eas2tas = steps.airspeed / steps.equivalent_airspeed
     speeds = np.array([each.point.airspeed for each in trims])
     data = EnvelopeFigureData(
-        title=f"{'Glide' if found.envelope.glides else 'Level flight'} of {path.parent.name}",
+        title=f"{'Glide' if found.envelope.glides else 'Level flight'} of {name}",
         subtitle=f"{level.lowest:.1f} to {level.highest:.1f} m/s; line: cruise, {level.airspeed:g} "
         "m/s; shaded: speeds of the autopilot",
         airspeed=speeds,
@@ -250,7 +263,7 @@ def _draw(path: Path, found: DerivedAircraft) -> None:
         cruise=level.airspeed,
         autopilot=(params.airspeed_min * eas2tas, params.airspeed_max * eas2tas),
     )
-    save_figure(envelope_figure(data), path)
+    return envelope_figure(data)
 
 
 def _sink(trim: TrimResult) -> float:

@@ -30,6 +30,7 @@ from mcap.stream_reader import StreamReader, get_chunk_data_stream
 
 from testbed.core.errors import InputError, raise_memory_shortage
 from testbed.core.files import lock_file, unlock_file
+from testbed.core.flags import flag_names
 from testbed.core.input_files import MAX_LOG_BYTES, open_regular
 from testbed.core.records import Event
 from testbed.logs.foxglove_messages import LOG
@@ -532,7 +533,11 @@ def _log_class() -> Any:  # noqa: ANN401 - made at run time
 
 
 def topic_schema(topic: Topic, names: Sequence[str]) -> Schema:
-    """Describe the messages of a topic in a run of these aircraft, by a FileDescriptorSet."""
+    """Describe the messages of a topic in a run of these aircraft, by a FileDescriptorSet.
+
+    A set of bits is an integer, whose sums of several bits no enumeration has; an enumeration of
+    the field's name, LimiterBits of limiter_bits, names the single bits.
+    """
     package, _, name = topic.message_type.rpartition(".")
     out = FileDescriptorSet()
     file = out.file.add(name=f"{topic.message_type}.proto", package=package, syntax="proto3")
@@ -540,10 +545,16 @@ def topic_schema(topic: Topic, names: Sequence[str]) -> Schema:
     for number, (field_name, column) in enumerate(topic.fields, start=1):
         kind = f"TYPE_{column.type.upper()}"
         field = message.field.add(name=field_name, number=number, label="LABEL_OPTIONAL")
+        if column.bits is not None:
+            named = message.enum_type.add(name=_type_name(field_name))
+            # proto3 has a first value of 0; values share the message's names with its fields
+            named.value.add(name=f"{field_name}_none".upper(), number=0)
+            for text, bit in zip(flag_names(column.bits), column.bits, strict=True):
+                named.value.add(name=f"{field_name}_{text}".upper(), number=int(bit))
         if not column.per_aircraft:
             field.type = FieldDescriptorProto.Type.Value(kind)
             continue
-        by_aircraft = message.nested_type.add(name=field_name.title().replace("_", ""))
+        by_aircraft = message.nested_type.add(name=_type_name(field_name))
         for aircraft, own_number in aircraft_fields(names).items():
             by_aircraft.field.add(
                 name=aircraft, number=own_number, type=kind, label="LABEL_OPTIONAL"
@@ -551,3 +562,7 @@ def topic_schema(topic: Topic, names: Sequence[str]) -> Schema:
         field.type = FieldDescriptorProto.TYPE_MESSAGE
         field.type_name = f".{topic.message_type}.{by_aircraft.name}"
     return Schema(topic.message_type, bytes(out.SerializeToString(deterministic=True)))
+
+
+def _type_name(field: str) -> str:
+    return field.title().replace("_", "")

@@ -389,6 +389,16 @@ def _parameters(found: Row) -> str:
             )
         else:
             out.append("<p>As in the aircraft's file.</p>")
+    for each in found["compared"]:
+        names, count = ", ".join(each["aircraft"][:6]), len(each["differences"])
+        out.append(f"<h3>{escape(each['file'])}, as given: {escape(names)}</h3>")
+        if count:
+            items = "".join(f"<li>{escape(text)}</li>" for text in each["differences"])
+            out.append(
+                f"<p>{count} of these flights differ{'s' * (count == 1)}:</p><ul>{items}</ul>"
+            )
+        else:
+            out.append("<p>All parameters of these flights are those of the file.</p>")
     return "".join(out)
 
 

@@ -74,7 +74,7 @@ def _range(curves: Sequence[Curve], flight: FlightData) -> dict[str, str]:
     low, high = np.inf, -np.inf
     for curve in curves:
         name, _, topic = curve.topic.removeprefix("/").rpartition("/")  # a name may have a /
-        values = flight[f"{topic}_{curve.field}"][:, flight.names.index(name)]
+        values = flight[f"{topic}_{curve.field}"][:, flight.names.index(name)].astype(float)
         if curve.about is not None:
             values = values[:, identifiers(flight.names).index(curve.about)]
         finite = values[np.isfinite(values)]

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from testbed.core.flags import flag_names
 from testbed.core.frames import course, flight_path_angle, wrap_pi
 from testbed.core.records import Array
 from testbed.logs.messages import QUANTITIES
@@ -95,6 +96,15 @@ def _horizontal(vectors: Array) -> Array:
     return np.hypot(vectors[..., 0], vectors[..., 1])
 
 
+def _bits(words: str, name: str) -> PlottedQuantity:
+    """Make the quantity of a set of bits, whose words name the value of each bit."""
+    bits = QUANTITIES[name].bits
+    assert bits is not None
+    values = zip(bits, flag_names(bits), strict=True)
+    named = ", ".join(f"{int(bit)}: {text.replace('_', ' ')}" for bit, text in values)
+    return PlottedQuantity(f"{words} ({named})", fields=(name,), tab="limits")
+
+
 _POSITIONS = ("estimate.position_ned", "truth.position_ned")
 
 
@@ -165,4 +175,6 @@ PLOTTED: Mapping[str, PlottedQuantity] = {
     "leader_age": PlottedQuantity(
         "age of the leader's message in use", "s", ("formation_age_s",), tab="network"
     ),
+    "limiters": _bits("limiters of the law, sum", "formation_limiter_bits"),
+    "saturations": _bits("saturations of the command, sum", "formation_saturation_bits"),
 }  # fmt: skip

@@ -133,9 +133,41 @@ def test_rows_of_a_changed_scenario_are_found_anew(tmp_path, pool):
     assert written(tmp_path)["rows"]["delay"] != before["rows"]["delay"]
 
 
+def test_parameters_of_the_aircraft_are_compared(tmp_path, pool):
+    """One that differs is a no-go; flights with the tune of the file have none."""
+    flight = ("assess", "simulation-3", "--duration", "1", "--flights", "1", "--only", "nominal")
+    assess(tmp_path, flight=flight, code=3)  # the second is too short for the criteria
+    own = tmp_path / "found" / "parameters" / "rascal110.param"
+    (tmp_path / "same.param").write_text(own.read_text())
+    other = tmp_path / "other.param"
+    changed = own.read_text().replace("ROLL_LIMIT_DEG 50", "ROLL_LIMIT_DEG 45")
+    other.write_text("".join(line for line in changed.splitlines(True) if "NAVL1" not in line))
+    assert changed != own.read_text() and other.read_text() != changed
+
+    for file, count in (("same.param", 0), ("uav1=other.param", 3)):
+        assess(tmp_path, "--resume", "--param", file, flight=flight, code=3)
+        found = written(tmp_path)
+        [compared] = found["compared"]
+        assert len(compared["differences"]) == count, compared
+        short = [each["text"] for each in found["short"] if each["row"] == "parameters"]
+        assert len(short) == bool(count)
+        assert f"--param {file}" in found["command"]
+    assert compared["aircraft"] == ["uav1"]
+    assert "ROLL_LIMIT_DEG 50: 45 in other.param" in compared["differences"]
+    assert "its path as tune of uav1" in short[0]
+    page = (tmp_path / "found" / "assessment.html").read_text()
+    assert "3 of these flights differ:" in page
+
+    with_file = ("--set", f"fleet.uav1.tune={other}", "--param", "uav1=other.param")
+    assess(tmp_path, "--resume", *with_file, flight=flight, code=3)
+    differences = written(tmp_path)["compared"][0]["differences"]
+    assert all("not in other.param" in each for each in differences)
+
+
 @pytest.mark.parametrize(
     ("words", "text"),
     [
+        (("--param", "none.param"), "no aircraft here has a flight model"),
         (("--only", "los"), "--only los: write one of nominal, margins, loss"),
         (("--flights", "0"), "--flights 0: write a whole number above 0"),
         (("--resume",), "there is no such folder to resume"),

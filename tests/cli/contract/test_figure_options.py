@@ -12,7 +12,7 @@ OPTIONS = {"--width", "--no-title", "--font", "--labels"}
 FILES = {"--plot", "--figure", "--figures"}  # options that ask for a figure
 DRAWING = {
     "law", "margins", "delay", "frequency-response", "network", "air", "report", "compare",
-    "study-report", "respond", "check",
+    "study-report", "respond", "check", "new aircraft",
 }  # fmt: skip
 
 

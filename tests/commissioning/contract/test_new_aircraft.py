@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+import struct
 from dataclasses import replace
 
 import numpy as np
@@ -52,6 +53,7 @@ def cessna(tmp_path_factory):
     """Folder, document and output of the c172p, a piston aircraft with a fixed propeller."""
     cwd = tmp_path_factory.mktemp("new")
     options = "--speed", SPEED, "--into", cwd / "cessna", "--json", cwd / "found.json"
+    options += "--plot", cwd / "printed.png", "--width", 3.5, "--no-title"
     done = new_aircraft(cwd, "c172p", *options)
     return cwd / "cessna", json.loads((cwd / "found.json").read_text()), done
 
@@ -69,6 +71,8 @@ def test_new_aircraft_has_all_its_files(cessna):
     assert document["aircraft"] == "cessna" and document["cut"] == document["declared"] == []
     for text in ("level flight", "fly-by-wire A", "testbed trim", "formation.speed_pole_per_s"):
         assert text in done.stdout
+    data = (folder.parent / "printed.png").read_bytes()
+    assert struct.unpack(">I", data[16:20])[0] == pytest.approx(3.5 * 300, abs=2)
     for text in ("trim …", "step responses …", "60 s of fly-by-wire A …"):
         assert text in done.stderr
 

@@ -11,10 +11,14 @@ import foxglove.layouts as sdk
 import numpy as np
 import pytest
 from commands import call_command
+from google.protobuf import descriptor_pool
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from record_flight import decoded, record, run_info, run_samples
 
 import testbed
-from testbed.logs.messages import QUANTITIES
+from testbed.core.flags import LimiterFlag, Saturation
+from testbed.logs.mcap_file import topic_schema
+from testbed.logs.messages import FORMATION, QUANTITIES
 from testbed.views.foxglove_layout import foxglove_layout
 from testbed.views.foxglove_scene import FRAMES, TOPICS
 from testbed.views.log_plots import numeric_topics, tabs
@@ -84,7 +88,7 @@ def test_foxglove_plots_name_fields_of_log(layout, messages):
         found = PATH.fullmatch(value)
         assert found, value
         _, message = messages[found["quoted"] or found["plain"]][0]
-        assert isinstance(attrgetter(found["fields"])(message), float), value
+        assert isinstance(attrgetter(found["fields"])(message), float | int), value
 
 
 def test_foxglove_panels_name_topics_and_frames_of_log(layout, messages):
@@ -190,6 +194,24 @@ def test_plotted_quantities_name_fields_of_log():
         assert quantity.fields or not quantity.tab, name
         units = {QUANTITIES[field].unit for field in (*quantity.fields, quantity.desired) if field}
         assert units <= {"rad" if quantity.unit == DEGREES else quantity.unit}, name
+
+
+@pytest.mark.parametrize("field, kind", [("limiter", LimiterFlag), ("saturation", Saturation)])
+def test_bits_are_named_in_plots_and_schema(field, kind):
+    """The plot's title has each value with its name, and the log's schema an enumeration."""
+    names = ("leader", "uav1")
+    title = next(title for title in tabs(names)["limits"] if field in title)
+    pool = descriptor_pool.DescriptorPool()
+    schema = topic_schema(FORMATION, names)
+    for file in FileDescriptorSet.FromString(schema.data).file:
+        pool.Add(file)
+    described = pool.FindMessageTypeByName(schema.name)
+    enumeration = described.enum_types_by_name[f"{field.title()}Bits"].values_by_number
+    assert sorted(enumeration) == [0, *(int(each) for each in kind)]
+    for bit in kind:
+        words = bit.name.lower()
+        assert f"{int(bit)}: {words.replace('_', ' ')}" in title
+        assert enumeration[int(bit)].name == f"{field}_bits_{words}".upper()
 
 
 def test_legend_names_commands_as_the_title():
