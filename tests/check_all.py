@@ -68,6 +68,12 @@ PARTS = (
         parallel=False,
     ),
     Part(
+        "encounters with the separation filter",
+        "10,000 of ideal aircraft, 1,000 of Rascals",
+        "TESTBED_SEPARATION=10000 pytest tests/formation/theorems/test_separation.py",
+        parallel=False,
+    ),
+    Part(
         "functions and components of compiled models against JSBSim",
         "all, 100,000 arguments each",
         "TESTBED_LITERALS=100000 pytest tests/compiled/equations/test_compiled_literals.py",

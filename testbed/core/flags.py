@@ -12,6 +12,9 @@ class LimiterFlag(IntFlag):
     OUTSIDE_SPEED_SET = 2  # s is outside S: second branch of (14)
     SPEED_COMMAND_CLIPPED = 4  # u + s_a − s was outside the speed bounds
     LEADER_TIMEOUT = 8  # no message of the leader for leader_timeout_s
+    CLOSING_LIMITED = 16  # the separation filter has changed the desired velocity
+    CLOSING_LIMITS_INFEASIBLE = 32  # no desired velocity is within all of its bounds
+    INSIDE_SEPARATION_MARGIN = 64  # an aircraft is closer than separation and margin
 
 
 class Saturation(IntFlag):

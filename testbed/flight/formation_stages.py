@@ -10,6 +10,7 @@ from testbed.core.call_list import NOW, Call
 from testbed.core.records import Array, BoolArray, VehicleState
 from testbed.flight.monitors import JoinMonitor, LinkMonitor, LossMonitor
 from testbed.flight.observers import EventQueue
+from testbed.flight.separation_monitor import SeparationMonitor
 from testbed.flight.stages import Part, Stage, StageRate, make_stages
 from testbed.flight.steps import copy_control, write_messages
 from testbed.flight.world import FormationParts, World
@@ -63,6 +64,12 @@ class FormationStages:
         self._join_monitor = JoinMonitor(
             world.names[1:], world.clock.base_rate_hz, aircraft, followers
         )
+        filters = built.controllers["separation"]
+        self._separation_monitor = None
+        if filters["on"].any():
+            self._separation_monitor = SeparationMonitor(
+                world.names, aircraft, followers, filters["distance"]
+            )
         self._outages = OutageEvents(parts.outages)
         self._left = np.zeros(len(followers), dtype=bool)
         array = world.array_commands
@@ -137,6 +144,9 @@ class FormationStages:
             yield Stage(part, rate, "find outages", then=self._find_outages)
         yield Stage(part, rate, "write slots and errors", call=self.write_slots)
         yield Stage(part, rate, "find joins", call=joins.call, then=self._find_joins)
+        if (monitor := self._separation_monitor) is not None:
+            name = "find what the separation filter does"
+            yield Stage(part, rate, name, call=monitor.call, then=self._separation_changes)
         if self._world.external_control is not None:
             name = "find followers commanded from outside"
             yield Stage(part, rate, name, then=self._find_left)
@@ -189,6 +199,10 @@ class FormationStages:
 
     def _find_joins(self, now: float) -> None:
         self._events += self._join_monitor.changes(now)
+
+    def _separation_changes(self, now: float) -> None:
+        assert self._separation_monitor is not None, "a stage of flights with the filter"
+        self._events += self._separation_monitor.changes(now)
 
     def _find_left(self, now: float) -> None:
         external = self._world.external_control

@@ -41,6 +41,7 @@ from testbed.formation.hbh23 import (
 from testbed.formation.message_extrapolation import message_ages
 from testbed.formation.middle_loop import CLIPPED, LOOP
 from testbed.formation.middle_loop import middle_loop as run_middle_loop
+from testbed.formation.separation_filter import SEPARATION, limit_closing
 
 # The gains and the memory of one follower's control.
 CONTROLLER = np.dtype(
@@ -50,16 +51,28 @@ CONTROLLER = np.dtype(
         ("loop", LOOP),
         ("integrals", middle_loop.MEMORY),
         ("unicycle", "?"),  # an ideal vehicle, which flies (u, ω) without middle loop
+        ("separation", SEPARATION),
     ],
     align=True,
 )
 
 
-def initial_controllers(law: Records, loop: Records, unicycle: list[bool]) -> Records:
-    """Return the controllers (n,) of LAW (n,) and LOOP (n,), with nothing received yet."""
+def initial_controllers(
+    law: Records, loop: Records, unicycle: list[bool], separation: Records | None = None
+) -> Records:
+    """Return the controllers (n,) of LAW (n,) and LOOP (n,), with nothing received yet.
+
+    Args:
+        law: (n,) of LAW.
+        loop: (n,) of LOOP.
+        unicycle: which followers are ideal vehicles.
+        separation: (n,) of SEPARATION; None: without the filter.
+    """
     controllers = allocate(CONTROLLER, len(law))
     controllers["law"], controllers["loop"], controllers["unicycle"] = law, loop, unicycle
     reset_leader_memory(controllers["leader"])
+    if separation is not None:
+        controllers["separation"] = separation
     controllers["integrals"] = middle_loop.initial_memory(len(law))
     return controllers
 
@@ -137,7 +150,9 @@ def finish_step(
     out: Record,
     command: Record,
 ) -> None:
-    """Run the middle loop behind a law's (u, ω), and write message ages."""
+    """Filter a law's (u, ω), run the middle loop behind it, and write message ages."""
+    if controller.separation.on:
+        limit_closing(controller.separation, controller.law, now, own, inbox, neighbours, out)
     run_middle_loop(controller.loop, own, controller.integrals, out, command)
     if controller.unicycle:
         _without_middle_loop(own, out, controller.law.speed_model.own)

@@ -29,6 +29,7 @@ from testbed.formation.control_step import Hbh23Law, initial_controllers, make_n
 from testbed.formation.hbh23 import LAW
 from testbed.formation.law import FormationConfig, Law
 from testbed.formation.middle_loop import LOOP
+from testbed.formation.separation_filter import SEPARATION
 from testbed.plan.fleet import AgentParameters, FormationPlan, PlannedFollower
 from testbed.plan.user_code import build_function, build_law, check_law
 from testbed.scenario import MiddleLoopGains as Profile
@@ -59,7 +60,9 @@ def build_control(fleet: FormationPlan, controller: Controller, clock: Clock) ->
     with deferred() as weights:
         gains = config.gains
     neighbours = make_neighbours(config.offsets, gains, config.leader_timeout_s, timeout_s)
-    controllers = initial_controllers(law, loops, [each.is_ideal for each in fleet.followers])
+    ideal = [each.is_ideal for each in fleet.followers]
+    separation = build_separation(fleet, controller)
+    controllers = initial_controllers(law, loops, ideal, separation)
     if builtin:
         _use(weights, *reads)
     if extrapolates:
@@ -74,7 +77,7 @@ def build_control(fleet: FormationPlan, controller: Controller, clock: Clock) ->
                 law[indices], neighbours[indices], (weights, *reads), (reads.velocity,)
             )
             user_law, origin = build_law(controller.law, controller.options, members, parts, hbh23)
-            commands.add(_check_user_law(fleet.followers, members, user_law))
+            commands.add(_check_user_law(fleet.followers, members, user_law, controller))
             messages.append(f"the law {law_name(user_law)} runs {origin}")
         groups.append(ControlGroup(np.array(rows, dtype=np.intp), members, user_law))
     if UnicycleCommand in commands:
@@ -93,6 +96,38 @@ def build_control(fleet: FormationPlan, controller: Controller, clock: Clock) ->
     )
 
 
+def build_separation(fleet: FormationPlan, controller: Controller) -> Records | None:
+    """Return the separation filters (n,) of followers; None: there are none.
+
+    Raises:
+        InputError: slots are closer than separation and margin, or ages of messages are not known.
+    """
+    safety = controller.safety
+    if safety is None:
+        return None
+    if controller.extrapolate_from != "timestamp":
+        raise InputError(
+            "controller.safety: positions of others are those of the time of measurement plus "
+            "the time since (write controller.extrapolate_from: timestamp)"
+        )
+    distance = safety.separation_m + safety.margin_m
+    slots, names = fleet.offsets, fleet.names
+    for i in range(len(slots)):
+        for j in range(i):
+            apart = float(np.linalg.norm(slots[i] - slots[j]))
+            if apart < distance:
+                raise InputError(
+                    f"controller.safety: the slots of {names[j]} and {names[i]} are {apart:.4g} m "
+                    f"apart, less than separation_m + margin_m, {safety.separation_m:g} + "
+                    f"{safety.margin_m:g} m (move formation.offsets_m apart, or write a smaller "
+                    "separation or margin)"
+                )
+    separation = allocate(SEPARATION, len(fleet.followers))
+    separation["on"], separation["distance"] = True, distance
+    separation["rate"] = safety.rate_per_s
+    return separation
+
+
 def _use(*parts: Deferred) -> None:
     for each in parts:
         each.use()
@@ -107,10 +142,19 @@ class LawReads(NamedTuple):
 
 
 def _check_user_law(
-    followers: Sequence[PlannedFollower], config: FormationConfig, law: Law
+    followers: Sequence[PlannedFollower],
+    config: FormationConfig,
+    law: Law,
+    controller: Controller,
 ) -> type[UnicycleCommand | FbwaCommand[Array]]:
     """Check a user's law, and return its type of command, which its vehicles accept."""
     command = check_law(law, config)
+    if command is FbwaCommand and controller.safety is not None:
+        raise InputError(
+            f"controller.safety: {law_name(law)} commands fly-by-wire A, and the filter is behind "
+            "laws that desire a velocity (return a UnicycleCommand, as command_from_velocity "
+            "does, or leave safety out)"
+        )
     unicycles = [each.name for each in followers if each.is_ideal]
     unable = [name for name in config.names if name in unicycles]
     if command is FbwaCommand and unable:

@@ -269,6 +269,28 @@ class Formation(Section):
     )
 
 
+class SeparationBarrier(Section):
+    """A filter behind the law that limits how fast followers close towards other aircraft."""
+
+    kind: Literal["barrier"] = Field(
+        description="barrier: a bound on the desired velocity, proportional to the distance left."
+    )
+    separation_m: Length = Field(
+        ge=SMALLEST, description="Distance to other aircraft that is kept, m."
+    )
+    margin_m: Length = Field(
+        3.5,
+        ge=0,
+        description="Distance in addition that errors of tracking may use up, m; of the Rascal "
+        "3.5 m in turns of 45°.",
+    )
+    rate_per_s: PerSecond = Field(
+        0.3,
+        ge=SMALLEST,
+        description="Share of the distance left that may be closed in a second, 1/s.",
+    )
+
+
 Latency = Annotated[Seconds, Field(ge=0, le=2)]
 
 
@@ -341,6 +363,9 @@ class Controller(Section):
         description="Speed to which the speed bounds apply: ground_speed as in the paper, or "
         "airspeed (bounds shifted by the wind) as in the authors' code; by default airspeed where "
         "air.wind blows, else ground_speed.",
+    )
+    safety: SeparationBarrier | None = Field(
+        None, description="Filter that keeps a separation, behind laws that desire a velocity."
     )
     companion: Companion = Field(
         Companion(), description="Latencies of a controller beside the autopilot."
