@@ -357,6 +357,9 @@ def test_limiter_flags_and_saturations_by_kind():
         "outside_speed_set": 2,
         "speed_command_clipped": 0,
         "leader_timeout": 0,
+        "closing_limited": 0,
+        "closing_limits_infeasible": 0,
+        "inside_separation_margin": 0,
     }
     assert summary["limiter_flags"]["uav2"]["samples"] == 0
     assert summary["saturations"]["uav1"]["by_kind"] == {"pitch": 2, "roll": 0, "throttle": 1}
