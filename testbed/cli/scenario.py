@@ -35,7 +35,7 @@ GROUPS: Final[Mapping[str, Mapping[str, str]]] = {
         "simulation-3-improved": "improved middle loop and estimates",
         "simulation-3-30deg": "corners at 30 degrees of bank",
         "simulation-3-hard": "a path beyond the aircraft's limits",
-        "simulation-3-wide": "slots 10 m apart, a separation filter",
+        "simulation-3-wide": "slots of 10 m, a separation filter",
         "simulation-3-noise": "noise of a GPS/INS estimate",
         "simulation-3-recorded-leader": "behind a recorded flight",
         "simulation-3-ardupilot": "ArduPlane flies every aircraft",
