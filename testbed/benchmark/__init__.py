@@ -1,0 +1,1 @@
+"""A benchmark of formation laws: frozen tasks, entries, numbers, ranks."""
