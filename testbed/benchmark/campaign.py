@@ -19,7 +19,7 @@ from typing import Any
 
 from testbed.benchmark.cell import FAILED, CellKey, fly_cell, lost_numbers
 from testbed.benchmark.entry import Entry, Law
-from testbed.benchmark.gain_search import BUDGET, tune_entry
+from testbed.benchmark.gain_search import BUDGET, MAX_TIMEOUTS, tune_entry
 from testbed.benchmark.limited_flight import LIMITS, Limits
 from testbed.benchmark.probes import probe_entry
 from testbed.benchmark.result import (
@@ -47,7 +47,6 @@ from testbed.pool.flight_pool import FlightPool, open_flight_pool
 from testbed.pool.flight_task import COMPLETED, FlightTask
 from testbed.scenario import Scenario, load_scenario
 
-MAX_TIMEOUTS = 3  # flights of an entry that run out of time; the ones after it are not flown
 STOPPED = "time: not flown, as {} flights of this entry did not end in time"
 _KEPT_BYTES = 4_000_000
 Report = Callable[[str], None]
@@ -158,20 +157,19 @@ def fly_campaign(
     shared = conditions(benchmark, campaign.seeds, campaign.limits)
     store = _Kept(campaign.folder, shared)
     cells = campaign.cells()
-    total = sum(
-        len(cells) + (campaign.budget if entry.tune else 0) for entry in campaign.entries
-    )
+    total = sum(len(cells) + (campaign.budget if entry.tune else 0) for entry in campaign.entries)
     with open_flight_pool(jobs=campaign.jobs, report=report) as pool:
         flights = _Flights(campaign, pool, total, progress)
         tunings = {each.name: _tune(each, flights, store, report) for each in campaign.entries}
-        gains = {
-            each.name: {**each.set, **_tuned(tunings[each.name])} for each in campaign.entries
-        }
+        gains = {each.name: {**each.set, **_tuned(tunings[each.name])} for each in campaign.entries}
         found: dict[str, list[Found]] = {}
         for entry in campaign.entries:
             found[entry.name] = _fly_entry(entry, gains[entry.name], flights, store, report)
         probes = {
-            each.name: _probe(each, gains[each.name], flights, store) for each in campaign.entries
+            each.name: _probe(
+                each, gains[each.name], flights, store, stopped=_is_stopped(found[each.name])
+            )
+            for each in campaign.entries
         }
     results = []
     for entry in sorted(campaign.entries, key=lambda each: each.name):
@@ -187,9 +185,7 @@ def fly_campaign(
                 cells=tuple(
                     CellRecord(**{k: v for k, v in row.items() if k != "cpu_s"}) for row in rows
                 ),
-                messages=None
-                if probe["messages"] is None
-                else MessagesRecord(**probe["messages"]),
+                messages=None if probe["messages"] is None else MessagesRecord(**probe["messages"]),
                 margins=tuple(MarginRecord(**each) for each in probe["margins"]),
                 cpu_s=statistics.median(times) if times else 0.0,
                 command=repeat_command(entry),
@@ -297,9 +293,7 @@ def _failed(key: CellKey, failure: str, why: str) -> Found:
     return {**head, **lost_numbers(), "outcome": FAILED, "failure": failure, "why": why}
 
 
-def _tune(
-    entry: Entry, flights: _Flights, store: _Kept, report: Report
-) -> TuningRecord | None:
+def _tune(entry: Entry, flights: _Flights, store: _Kept, report: Report) -> TuningRecord | None:
     """Return the tuning of an entry, which is found if it is not kept; None: it has no bounds."""
     if not entry.tune:
         return None
@@ -344,17 +338,19 @@ def _fly_entry(
     for number, numbers in flights.fly(entry.law, work()):
         key = missing[number]
         found[key] = numbers
-        timeouts += numbers["failure"] == "time"
+        timeouts += int(numbers["failure"] == "time")
         left[key.task] -= 1
         if not left[key.task]:
             mine = [found[each] for each in cells if each.task == key.task]
             store.write(f"cells-{entry.name}-{key.task}", depends, {"cells": mine})
             mean = statistics.fmean(each["number_m"] for each in mine)
             lost = sum(each["outcome"] != "flown" for each in mine)
-            report(
-                f"{entry.name}: {key.task} {mean:.2f} m, {lost} of {len(mine)} lost or failed"
-            )
+            report(f"{entry.name}: {key.task} {mean:.2f} m, {lost} of {len(mine)} lost or failed")
     return _stopped(cells, found)
+
+
+def _is_stopped(rows: Sequence[Found]) -> bool:
+    return [row["failure"] for row in rows].count("time") >= MAX_TIMEOUTS
 
 
 def _stopped(cells: Sequence[CellKey], found: Mapping[CellKey, Found]) -> list[Found]:
@@ -374,9 +370,12 @@ def _stopped(cells: Sequence[CellKey], found: Mapping[CellKey, Found]) -> list[F
 
 
 def _probe(
-    entry: Entry, gains: Mapping[str, Any], flights: _Flights, store: _Kept
+    entry: Entry, gains: Mapping[str, Any], flights: _Flights, store: _Kept, *, stopped: bool
 ) -> Found:
+    """Return messages and margins of an entry; none of one whose flights do not end."""
     name, depends = f"probe-{entry.name}", [entry.digest, dict(gains)]
+    if stopped:
+        return {"messages": None, "margins": []}
     kept = store.read(name, depends)
     if kept is None:
         kept = flights.probe(entry.law, gains)

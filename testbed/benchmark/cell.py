@@ -174,4 +174,8 @@ def _checked(value: object) -> dict[str, Any] | None:
         if isinstance(each, bool) or not isinstance(each, int | float) or not math.isfinite(each):
             return None
     number = value["number_m"]
-    return value if 0.0 <= number <= LOST_M and (value["outcome"] == FLOWN or number == LOST_M) else None
+    return (
+        value
+        if 0.0 <= number <= LOST_M and (value["outcome"] == FLOWN or number == LOST_M)
+        else None
+    )

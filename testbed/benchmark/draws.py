@@ -130,9 +130,7 @@ def _other_slots(
     order = random.permutation(len(names))
     while (order == np.arange(len(names))).any():
         order = random.permutation(len(names))
-    return {
-        name: tuple(offsets_m[names[k]]) for name, k in zip(names, order.tolist(), strict=True)
-    }
+    return {name: tuple(offsets_m[names[k]]) for name, k in zip(names, order.tolist(), strict=True)}
 
 
 def _draw_path(
@@ -142,7 +140,7 @@ def _draw_path(
     course = round(float(random.uniform(0.0, 360.0)), 3)
     side = 1.0 if random.integers(2) else -1.0
     north, east, altitude, length, heading = 0.0, 0.0, 150.0, 0.0, math.radians(course)
-    points = []
+    points: list[tuple[float, ...]] = []
     while length < LONGEST_MPS * duration_s:
         leg = float(random.uniform(*ranges.legs_m))
         turn = math.radians(float(random.uniform(*ranges.turns_deg)))

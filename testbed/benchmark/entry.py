@@ -18,7 +18,7 @@ from testbed.core.errors import InputError
 from testbed.core.input_files import read_bounded
 from testbed.scenario import find_code
 from testbed.scenario.control import BUILT_IN
-from testbed.scenario.fields import Flag, Name, Number, Section, Whole, raise_findings
+from testbed.scenario.fields import Finding, Flag, Name, Number, Section, Whole, raise_findings
 from testbed.scenario.validate import validate
 from testbed.scenario.yaml_io import read
 from testbed.tuning.tune_schema import MIN_GAINS, GainBounds
@@ -30,7 +30,10 @@ KEYS = re.compile(
     r"controller\.(options|safety|estimators)\.[A-Za-z_][\w.]*"
     r"|formation\.(k|a|b|c|barrier\.nu|control_function\.(nu1|nu2|m))"
 )
-_ALLOWED = "controller.options.…, controller.safety.…, controller.estimators.…, formation.k, a, b, c"
+_FUNCTION = re.compile(r"[A-Za-z_]\w{0,63}", re.ASCII)
+_ALLOWED = (
+    "controller.options.…, controller.safety.…, controller.estimators.…, formation.k, a, b, c"
+)
 ENTRIES = Path(__file__).parent / "entries"  # those that come with the testbed
 
 
@@ -52,7 +55,7 @@ class EntryFile(Section):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        findings = [
+        findings: list[Finding] = [
             ((section, key), f"is not of the law (write {_ALLOWED})")
             for section, keys in (("set", self.set), ("tune", self.tune))
             for key in keys
@@ -142,7 +145,10 @@ class Entry:
             "name": self.name,
             "law": [self.law.sha256 or self.law.reference, self.law.function],
             "set": dict(self.set),
-            "tune": {key: bounds.model_dump() for key, bounds in self.tune.items()},
+            "tune": {
+                key: [bounds.low, bounds.high, bounds.scale, start]
+                for (key, bounds), start in zip(self.tune.items(), self.starts, strict=True)
+            },
         }
         return hashlib.sha256(json.dumps(text, sort_keys=True).encode()).hexdigest()
 
@@ -168,7 +174,7 @@ def open_law(text: str) -> Law:
         InputError: there is no such file, or the word is another.
     """
     path, colon, function = text.rpartition(":")
-    if not colon or not path.endswith(".py") or not function.isidentifier():
+    if not colon or not path.endswith(".py") or not _FUNCTION.fullmatch(function):
         known = ", ".join(shipped_names())
         raise InputError(f"{text}: is no law (write LAW.py:function, or an entry: {known})")
     file = Path(path).absolute()
@@ -195,7 +201,7 @@ def open_entries(words: Iterable[str], settings: Iterable[Path] = ()) -> list[En
             file = validate(read(files.pop(0)), EntryFile)
             found.append(Entry(file.entry.name, law, file.set, file.tune))
         else:
-            found.append(Entry(law.function, law, {}, {}))
+            found.append(Entry(law.function.strip("_") or "law", law, {}, {}))
     if files:
         raise InputError(f"--entry {files[0]}: there is no LAW.py:function for it (write one)")
     for number, each in enumerate(found):

@@ -1,7 +1,8 @@
 """Tune an entry: the search of `testbed tune`, with one budget, on the tuning tasks.
 
 The cost of a set of gains is the mean over the tuning flights of their numbers; of a lost flight it
-is 50 to 100 m, the more the earlier it was lost, and of one that failed 150 m.
+is 50 to 100 m, the more the earlier it was lost, and of one that failed 150 m. Where the gains that
+the search begins with fail in all flights, there is no search.
 """
 
 from __future__ import annotations
@@ -26,6 +27,8 @@ from testbed.tuning.tune_search import (
     search,
 )
 
+FAILED_M = 3.0 * LOST_M  # cost of a flight that failed
+MAX_TIMEOUTS = 3  # flights that run out of time, after whose generation the search ends
 BUDGET = 150  # flights of the search, with those of the gains that it begins with
 Fly = Callable[[Sequence[tuple[CellKey, Mapping[str, Any]]]], Iterator[tuple[int, dict[str, Any]]]]
 
@@ -43,7 +46,7 @@ def tuning_cells(benchmark: Benchmark) -> list[CellKey]:
 def cell_cost(cell: Mapping[str, Any], duration_s: float) -> float:
     """Return what a tuning flight costs, m."""
     if cell["outcome"] == FAILED:
-        return 3.0 * LOST_M
+        return FAILED_M
     if cell["outcome"] == LOST:
         at_s = cell["lost_at_s"] if cell["lost_at_s"] is not None else duration_s
         return LOST_M * (2.0 - min(at_s / duration_s, 1.0))
@@ -72,10 +75,10 @@ def tune_entry(
     settings = Search(max_flights=budget)
     population = default_population(len(space.names))
     generations = generation_count(settings, population, len(cells))
-    flights = 0
+    flights = timeouts = 0
 
     def evaluate(candidates: Sequence[Gains]) -> list[Evaluation]:
-        nonlocal flights
+        nonlocal flights, timeouts
         work = [
             (cell, {**entry.set, **dict(zip(space.names, gains, strict=True))})
             for gains in candidates
@@ -86,6 +89,7 @@ def tune_entry(
         for number, found in fly(work):
             task = benchmark.task(work[number][0].task)
             costs[number] = cell_cost(found, task.head.duration_s)
+            timeouts += found["failure"] == "time"
         per = len(cells)
         each = [tuple(costs[k * per : (k + 1) * per]) for k in range(len(candidates))]
         return [Evaluation(of, statistics.fmean(of), statistics.fmean(of)) for of in each]
@@ -93,12 +97,18 @@ def tune_entry(
     start = tuple(space.start.tolist())
     best = first = Candidate(0, 0, start, evaluate([start])[0])
     report(f"{entry.name}: {first.cost:.3f} m before tuning")
+    all_fail = all(cost == FAILED_M for cost in first.evaluation.costs)
+    generations = 0 if all_fail else generations
     for found in search(space, evaluate, settings=settings, generations=generations):
         cheapest = min(found, key=lambda each: each.cost)
         best = cheapest if cheapest.cost < best.cost else best
         report(
-            f"{entry.name}: generation {cheapest.generation} of {generations}, best {best.cost:.3f} m"
+            f"{entry.name}: generation {cheapest.generation} of {generations}, "
+            f"best {best.cost:.3f} m"
         )
+        if timeouts >= MAX_TIMEOUTS:
+            report(f"{entry.name}: the search ends, as {timeouts} flights did not end in time")
+            break
     return TuningRecord(
         tasks=tuple(benchmark.tuning),
         seeds=TUNING,

@@ -120,9 +120,7 @@ def _receive(read: int, wall_s: float) -> tuple[bytes, bool]:
     return data, False
 
 
-def _result(
-    data: bytes, in_time: bool, code: int, cpu_s: float, limits: Limits
-) -> LimitedResult:
+def _result(data: bytes, in_time: bool, code: int, cpu_s: float, limits: Limits) -> LimitedResult:
     """Judge what a copy has sent and how it has ended."""
 
     def failed(failure: Failure, text: str) -> LimitedResult:
@@ -169,19 +167,19 @@ def _serve(work: Work, write: int, folder: Path, limits: Limits) -> NoReturn:
         os.chdir(folder)
         threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
         memory = _address_space() + limits.memory_bytes
-        for kind, limit in (
+        for each, limit in (
             (resource.RLIMIT_CORE, 0),
             (resource.RLIMIT_FSIZE, limits.file_bytes),
             (resource.RLIMIT_AS, memory),
         ):
-            resource.setrlimit(kind, (limit, limit))
+            resource.setrlimit(each, (limit, limit))
         resource.setrlimit(resource.RLIMIT_CPU, (limits.cpu_s, limits.cpu_s + 1))
         try:
-            found = "result", work(folder)
+            found: tuple[str, Any] = ("result", work(folder))
         except BaseException as error:
             gc.collect()
             kind = "exception" if memory_shortage(error) is None else "memory"
-            found = kind, _describe(error)[:MAX_TEXT]
+            found = (kind, _describe(error)[:MAX_TEXT])
         os.write(write, json.dumps(found, allow_nan=False).encode())
         code = 0
     finally:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from testbed.scenario import Scenario, load_scenario, set_duration
 from testbed.scenario.set_keys import SetKeys
 from testbed.scenario.yaml_io import to_inline
 
-TASK, SHORT_S = "calm-corners", 100.0  # flight by which messages are judged
+LONGEST_S = 100.0  # of the flights by which messages are judged, of the first task
 BANKS_DEG = (0.0, 45.0)
 
 
@@ -38,14 +39,14 @@ def probe_entry(
         law.check()
         return _messages(flown, folder, place)
 
-    def margins(bank_deg: float) -> Any:  # noqa: ANN401 - plain data
+    def margins(bank_deg: float, place: Path) -> Any:  # noqa: ANN401 - plain data
         law.check()
         return _margins(flown, folder, bank_deg)
 
     needed = run_limited(messages, limits).value
     found = []
     for bank_deg in BANKS_DEG:
-        result = run_limited(lambda _, bank=bank_deg: margins(bank), limits)
+        result = run_limited(partial(margins, bank_deg), limits)
         empty = {"bank_deg": bank_deg, "damping": None, "factor": None, "phase_deg": None}
         problem = result.value if isinstance(result.value, str) else f"{result.failure}"
         row = {**empty, "latency_s": None, "problem": problem[:200]}
@@ -56,13 +57,14 @@ def probe_entry(
 def _messages(settings: Mapping[str, Any], folder: Path | None, place: Path) -> dict[str, Any]:
     """Fly with and without the messages of followers; equal to the bit: they are not needed."""
     benchmark = load_benchmark(folder)
-    task = benchmark.task(TASK)
+    task = next(iter(benchmark.tasks.values()))
+    duration_s = min(LONGEST_S, task.head.duration_s)
 
     def fly(changes: Mapping[str, Any]) -> tuple[list[float | None], Scenario]:
         keys = {**settings, **changes}
         scenario, _ = task_scenario(benchmark.name, task, 1, 1, settings=keys, folder=place)
-        windows = run(set_duration(scenario, SHORT_S), write=False, progress=False).metrics
-        return list(windows["windows"][WINDOW]["rms_m"].values()), scenario
+        metrics = run(set_duration(scenario, duration_s), write=False, progress=False).metrics
+        return list(metrics["windows"][WINDOW]["rms_m"].values()), scenario
 
     whole, scenario = fly({})
     names = [each.name for each in scenario.fleet]
@@ -75,7 +77,7 @@ def _messages(settings: Mapping[str, Any], folder: Path | None, place: Path) -> 
 
 def _margins(settings: Mapping[str, Any], folder: Path | None, bank_deg: float) -> Any:  # noqa: ANN401
     """Predict the least margins of all followers in steady flight; a text: why there are none."""
-    task = load_benchmark(folder).task(TASK)
+    task = next(iter(load_benchmark(folder).tasks.values()))
     texts = [f"{key}={to_inline(value)}" for key, value in settings.items()]
     scenario = load_scenario(task.path, texts).with_set_keys(SetKeys())
     try:

@@ -19,7 +19,7 @@ from testbed.benchmark.task import LEVELS, Benchmark
 from testbed.core.errors import InputError
 from testbed.core.input_files import parse_json_map, read_bounded
 from testbed.core.records import Array
-from testbed.scenario.fields import Flag, Name, Number, Section, Whole, raise_findings
+from testbed.scenario.fields import Finding, Flag, Name, Number, Section, Whole, raise_findings
 
 SCHEMA = 1
 MAX_BYTES = 4_000_000
@@ -139,18 +139,25 @@ class Result(Section):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        findings = []
+        findings: list[Finding] = []
         if len({each.key for each in self.cells}) < len(self.cells):
             findings.append((("cells",), "has a flight twice"))
         for number, each in enumerate(self.cells):
             if each.outcome != FLOWN and each.number_m != LOST_M:
-                text = f"is {each.number_m:g}, of a flight that was {each.outcome} (it is {LOST_M:g})"
+                text = (
+                    f"is {each.number_m:g}, of a flight that was {each.outcome} (it is {LOST_M:g})"
+                )
                 findings.append((("cells", number, "number_m"), text))
             if (each.outcome == FAILED) != bool(each.failure):
                 findings.append((("cells", number, "failure"), "does not fit the outcome"))
         findings += [
-            (("gains", key), "is not a key of a law") for key in self.gains if not KEYS.fullmatch(key)
+            (("gains", key), "is not a key of a law")
+            for key in self.gains
+            if not KEYS.fullmatch(key)
         ]
+        tuned = {} if self.entry.tuning is None else self.entry.tuning.gains
+        if dict(self.gains) != {**self.entry.set, **{k: v.tuned for k, v in tuned.items()}}:
+            findings.append((("gains",), "are not the settings and the tuned gains of the entry"))
         raise_findings(findings)
         return self
 
@@ -176,7 +183,9 @@ def parse_result(data: bytes, source: str) -> Result:
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
         where = ".".join(map(str, first["loc"]))
-        raise InputError(f"{source}: is no result of testbed benchmark: {where}: {first['msg']}") from None
+        raise InputError(
+            f"{source}: is no result of testbed benchmark: {where}: {first['msg']}"
+        ) from None
     except ValueError as error:
         raise InputError(f"{source}: is no result of testbed benchmark: {error}") from None
 

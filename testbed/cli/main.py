@@ -54,7 +54,12 @@ PANELS: Final[Mapping[str, Mapping[str, str]]] = {
         "recover": "export",
         "prune": "runs",
     },
-    "Study": {"sweep": "sweep", "study-report": "study_report", "tune": "tune"},
+    "Study": {
+        "sweep": "sweep",
+        "study-report": "study_report",
+        "tune": "tune",
+        "benchmark": "benchmark",
+    },
     "Aircraft": {
         "new": "new",
         "trim": "inspect",
@@ -68,7 +73,12 @@ PANELS: Final[Mapping[str, Mapping[str, str]]] = {
     "CI": {"check": "check"},
 }
 # Commands that are groups of others: "new" of "new aircraft", of the same module.
-_GROUPS: Final[Mapping[str, tuple[str, ...]]] = {"new": ("new aircraft", "new law", "new study")}
+_GROUPS: Final[Mapping[str, tuple[str, ...]]] = {
+    "new": ("new aircraft", "new law", "new study"),
+    "benchmark": ("benchmark fly", "benchmark verify", "benchmark table"),
+}
+# Commands of groups that are meant where the first word is none of the group.
+_DEFAULTS: Final = {"benchmark": "fly"}
 _MODULES: Final = {
     name: f"testbed.cli.{module}"
     for panel in PANELS.values()
@@ -199,6 +209,14 @@ class _Command(_Help, TyperCommand):
 class _Subcommands(_Help, TyperGroup):
     """The commands of a group."""
 
+    default = ""  # command that is meant where none is named
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # noqa: ANN401
+        """Write the command that is meant; see typer."""
+        if self.default and args and args[0] not in (*self.commands, "--help"):
+            args = [self.default, *args]
+        return super().parse_args(ctx, args)
+
 
 class CommandGroup(_Help, TyperGroup):
     """All commands by name; `testbed --help` lists them without importing their modules."""
@@ -235,6 +253,7 @@ class CommandGroup(_Help, TyperGroup):
                 no_args_is_help=True,
                 rich_markup_mode=MARKUP,
             )
+            group.default = _DEFAULTS.get(name, "")
             for each in _GROUPS[name]:
                 member = self.full_command(each)
                 member.name = each.removeprefix(f"{name} ")

@@ -94,6 +94,7 @@ GROUPS = (
             "studies": "linear logs metrics plan pool runs scenario",
             "tuning": "linear logs metrics pool scenario studies",
             "assessment": "autopilot flight linear metrics plan pool runs scenario",
+            "benchmark": "guidance linear metrics plan pool runs scenario tuning",
         },
         "core scenario models links record flight analysis",
     ),

@@ -1,0 +1,262 @@
+"""Entries that try to gain a rank: by crashing, hanging, choosing flights, or another digest."""
+
+import json
+
+import pytest
+from tiny_benchmark import Here, fly, write_law, write_tasks
+
+import testbed.benchmark.campaign as module
+from testbed.benchmark.campaign import STOPPED
+from testbed.benchmark.cell import LOST_M, CellKey
+from testbed.benchmark.entry import open_law
+from testbed.benchmark.limited_flight import Limits
+from testbed.benchmark.ranking import rank, ranking
+from testbed.benchmark.result import parse_result, to_document
+from testbed.benchmark.task import load_benchmark
+from testbed.benchmark.verify import check_law
+from testbed.core.errors import InputError
+
+SHORT = Limits(cpu_s=1, wall_s=20)
+
+
+@pytest.fixture(scope="module")
+def tasks(tmp_path_factory):
+    return write_tasks(tmp_path_factory.mktemp("benchmark") / "tiny")
+
+
+@pytest.fixture(scope="module")
+def results(tasks, tmp_path_factory):
+    """Results of an honest law, and of the same law with something added."""
+    folder = tmp_path_factory.mktemp("laws")
+    words = [
+        write_law(folder / "honest.py"),
+        write_law(
+            folder / "crash.py",
+            doc="Raise where the error is large.",
+            step="if now > 12.0 and abs(own.position_ned[0, 0]) > 200.0: raise ValueError('no')",
+        ),
+        write_law(
+            folder / "opens.py",
+            doc="Open a file.",
+            step=f"open({str(folder / 'opened')!r}, 'a').write('x')",
+        ),
+    ]
+    settings = []
+    for word in words:
+        name = word.rpartition("/")[2].partition(".")[0]
+        settings.append(folder / f"{name}.yaml")
+        settings[-1].write_text(f"entry: {{schema: 1, name: {name}}}\n")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "open_flight_pool", lambda **_: _Block())
+        return fly(words, folder / "out", tasks, settings=settings), folder
+
+
+class _Block:
+    def __enter__(self):
+        return Here()
+
+    def __exit__(self, *_):
+        return None
+
+
+@pytest.fixture
+def pool(monkeypatch):
+    here = Here()
+
+    class Block:
+        def __enter__(self):
+            return here
+
+        def __exit__(self, *_):
+            return None
+
+    monkeypatch.setattr(module, "open_flight_pool", lambda **_: Block())
+    return here
+
+
+def changed(result, change):
+    """Return a result after a change of its document."""
+    document = to_document(result)
+    change(document)
+    return parse_result(json.dumps(document).encode(), "changed.json")
+
+
+def named(name):
+    """A change that enters a result under another name."""
+
+    def change(document):
+        document["entry"]["name"] = name
+
+    return change
+
+
+def means(found):
+    return {
+        (table["name"], row["entry"]): row["mean_m"]
+        for table in found["tables"]
+        for row in table["standings"]
+    }
+
+
+def test_a_crash_never_betters_a_number(results, tasks):
+    """Flights that fail count with the largest error, and apart from bad flying."""
+    found, benchmark = results[0], load_benchmark(tasks)
+    honest = {each.key: each for each in found["honest"].cells}
+    failed = [each for each in found["crash"].cells if each.outcome == "failed"]
+    assert 0 < len(failed) < len(honest)
+    assert {each.failure for each in failed} == {"exception"}
+    assert {each.number_m for each in failed} == {LOST_M}
+    assert "ValueError: no" in failed[0].why
+    for each in found["crash"].cells:
+        assert each.number_m >= honest[each.key].number_m
+    page = ranking(list(found.values()), benchmark)
+    by_name = {each["name"]: each for each in page["entries"]}
+    assert by_name["crash"]["failed"] == len(failed)
+    assert by_name["crash"]["lost"] == 0
+    numbers = means(page)
+    for table in ("all", "gentle", "steep"):
+        assert numbers[table, "crash"] >= numbers[table, "honest"]
+    claims = [(each.better, each.worse) for each in rank(list(found.values()), benchmark)]
+    assert ("crash", "honest") not in claims
+
+
+def test_an_opened_file_changes_no_number(results):
+    """It can open one; the page has the same numbers to the bit."""
+    found, folder = results
+    one, two = (
+        [(each.key, each.number_m) for each in found[name].cells] for name in ("honest", "opens")
+    )
+    assert one == two
+    assert (folder / "opened").stat().st_size > 0
+
+
+def test_the_order_of_entry_changes_nothing(results, tasks):
+    found, benchmark = list(results[0].values()), load_benchmark(tasks)
+    one, two = (ranking(each, benchmark) for each in (found, found[::-1]))
+    assert one["tables"] == two["tables"]
+    assert one["comparisons"] == two["comparisons"]
+
+
+def test_easy_seeds_alone_have_no_rank(results, tasks):
+    """A result without its worst flights, or with other seeds, is refused."""
+    found, benchmark = results[0], load_benchmark(tasks)
+    worst = sorted(found["honest"].cells, key=lambda each: each.number_m)[-6:]
+    hard = {(each.task, each.level, each.seed) for each in worst}
+
+    def leave_out(document):
+        named("easy")(document)
+        document["cells"] = [
+            each
+            for each in document["cells"]
+            if (each["task"], each["level"], each["seed"]) not in hard
+        ]
+
+    easy = changed(found["honest"], leave_out)
+    with pytest.raises(InputError, match="easy: has 6 flights too few"):
+        rank([easy, found["honest"]], benchmark)
+    page = ranking([easy, found["honest"]], benchmark)
+    assert (page["tables"], page["comparisons"]) == ([], [])
+    assert page["missing"] == {"easy": 6, "honest": 0}
+
+    def choose(document):
+        named("chosen")(document)
+        document["conditions"]["seeds"]["values"] = [1, 2, 3]
+
+    with pytest.raises(InputError, match="chosen: has other seeds than those of its practice"):
+        rank([changed(found["honest"], choose)], benchmark)
+
+    def add(document):
+        named("more")(document)
+        document["cells"].append({**document["cells"][0], "seed": 99, "number_m": 0.0})
+
+    with pytest.raises(InputError, match="more: has flights that are not of the benchmark"):
+        rank([changed(found["honest"], add)], benchmark)
+
+
+def test_a_table_mixes_no_versions(results, tasks):
+    found, benchmark = results[0], load_benchmark(tasks)
+
+    def other_code(document):
+        named("other")(document)
+        document["conditions"]["code"]["flight"] = "0" * 12
+
+    other = changed(found["honest"], other_code)
+    with pytest.raises(InputError, match=r"do not stand in one table: code\.flight is "):
+        rank([found["honest"], other], benchmark)
+
+    def other_tasks(document):
+        document["conditions"]["benchmark_digest"] = "0" * 64
+
+    with pytest.raises(InputError, match="was flown on tiny 1.0 000000000000"):
+        rank([changed(found["honest"], other_tasks)], benchmark)
+    with pytest.raises(InputError, match="two results have this name"):
+        rank([found["honest"], found["honest"]], benchmark)
+
+
+def test_a_law_that_never_returns_ends(pool, tasks, tmp_path):
+    """Three flights take their time; the others are not flown, and all have failed."""
+    word = write_law(tmp_path / "loop.py", top="while True: pass")
+    found = fly([word], tmp_path / "out", tasks, limits=SHORT)["Law"]
+    assert len(pool.flown) == 3
+    assert [each.failure for each in found.cells] == ["time"] * 24
+    assert {each.number_m for each in found.cells} == {LOST_M}
+    assert found.cells[0].why == "time: did not end within 1 s of processor time"
+    assert found.cells[3].why == STOPPED.format(3)
+    assert (found.messages, found.margins) == (None, ())
+    page = ranking([found], load_benchmark(tasks))
+    assert page["entries"][0]["failed"] == 24
+
+
+def test_a_digest_that_lies_runs_nothing(results, tmp_path):
+    """Another file than the one that was entered is refused before its import."""
+    marker = tmp_path / "imported"
+    honest = results[0]["honest"]
+    word = write_law(tmp_path / "honest.py", top=f"open({str(marker)!r}, 'w')")
+    with pytest.raises(InputError, match=r"is not the law of honest, honest\.py:Law SHA-256"):
+        check_law(honest, open_law(word))
+    own = open_law(f"{results[1]}/honest.py:Law")
+    check_law(honest, own)
+
+    def lie(document):
+        document["entry"]["law_sha256"] = open_law(word).sha256
+
+    # the digest of the entry holds the one of the file
+    with pytest.raises(InputError, match="settings and bounds are not those of its digest"):
+        check_law(changed(honest, lie), open_law(word))
+
+    def other_gains(document):
+        document["entry"]["set"] = document["gains"] = {"controller.options.roll": 0.3}
+
+    with pytest.raises(InputError, match="settings and bounds are not those of its digest"):
+        check_law(changed(honest, other_gains), own)
+    assert not marker.exists()
+
+
+def test_a_file_that_changes_meanwhile_fails(results, tasks, tmp_path):
+    from testbed.benchmark.cell import fly_cell
+
+    word = write_law(tmp_path / "law.py")
+    law = open_law(word)
+    write_law(tmp_path / "law.py", top="HACK = 1")
+    found = fly_cell(CellKey("gentle", 1, 1), law, {}, folder=tasks)
+    assert (found["outcome"], found["failure"]) == ("failed", "exception")
+    assert "has changed since it was read" in found["why"]
+
+
+def test_interrupted_flights_go_on(pool, results, tasks):
+    """What is kept is not flown again, and the result is that of one go."""
+    whole, folder = results
+    word, out = f"{folder}/honest.py:Law", folder / "interrupted"
+    pool.most = 15
+    with pytest.raises(KeyboardInterrupt):
+        fly([word], out, tasks)
+    pool.most = 1000
+    again = fly([word], out, tasks)["Law"]
+    assert len(pool.flown) == 15 + 12 + 1  # a whole task was kept; and the probe
+    assert again.cells == whole["honest"].cells
+    flown = len(pool.flown)
+    fly([word], out, tasks)
+    assert len(pool.flown) == flown
+    write_law(folder / "honest2.py", doc="Another one.")
+    fly([f"{folder}/honest2.py:Law"], out, tasks, only=("gentle",))
+    assert len(pool.flown) == flown + 12 + 1

@@ -1,0 +1,99 @@
+"""A benchmark of two tasks of 20 s, flown in this process's copies, for tests."""
+
+import hashlib
+import json
+import shutil
+from pathlib import Path
+
+from testbed.benchmark.campaign import Campaign, fly_campaign, practice_seeds
+from testbed.benchmark.entry import open_entries
+from testbed.benchmark.limited_flight import Limits
+from testbed.benchmark.task import default_folder
+from testbed.pool.flight_task import run_task
+
+LIMITS = Limits(cpu_s=30, wall_s=60)
+LAW = '''"""{doc}"""
+import numpy as np
+from testbed.law import FbwaCommand
+{top}
+
+class Law:
+    def __init__(self, config, roll=0.0):
+        self.config = config
+
+    def start(self, own):
+        return None
+
+    def step(self, now, own, inbox, memory):
+        {step}
+        n = len(own.airspeed)
+        trim = self.config.trim_throttle * np.ones(n)
+        return FbwaCommand(np.zeros(n), np.zeros(n), trim), memory
+'''
+TASK = """task:
+  schema: 1
+  name: {name}
+  question: Does it fly?
+  scenario: four.yaml
+  duration_s: 20
+  window_s: [8, 20]
+  set: {{leader.path.bank_limit_deg: {bank}}}
+
+levels:
+  - draw:
+      starts_m: [4, 4, 2]
+      legs_m: [300, 400]
+      turns_deg: [40, 50]
+      sides: both
+      climbs_m: [0, 0]
+      wind_mps: [0, 1]
+"""
+
+
+class Here:
+    """A pool that flies in this process, up to a number of flights."""
+
+    def __init__(self, most=10_000):
+        self.flown, self.most = [], most
+
+    def run(self, tasks):
+        for task in tasks:
+            if len(self.flown) == self.most:
+                raise KeyboardInterrupt
+            self.flown.append(task)
+            yield run_task(task)
+
+
+def write_tasks(folder: Path) -> Path:
+    """Write the benchmark."""
+    folder.mkdir()
+    shutil.copy(default_folder() / "four.yaml", folder)
+    for name, bank in (("gentle", 20), ("steep", 40), ("tuning", 30)):
+        (folder / f"{name}.yaml").write_text(TASK.format(name=name, bank=bank))
+    files = {
+        path.name: hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.glob("*.yaml"))
+    }
+    manifest = {
+        "benchmark": "tiny 1.0",
+        "tasks": ["gentle", "steep"],
+        "tuning_tasks": ["tuning"],
+        "files": files,
+    }
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    return folder
+
+
+def write_law(path: Path, *, top="", step="pass", doc="Fly straight on.") -> str:
+    """Write a law that flies straight on; return its word on a command line."""
+    path.write_text(LAW.format(top=top, step=step, doc=doc))
+    return f"{path}:Law"
+
+
+def fly(words, folder, tasks, *, limits=LIMITS, settings=(), only=(), budget=150):
+    """Fly entries on the tiny benchmark, and return their results by name."""
+    entries = open_entries(words, settings)
+    campaign = Campaign(
+        entries, practice_seeds(), folder, limits=limits, tasks=tasks, only=only, budget=budget
+    )
+    return {each.entry.name: each for each in fly_campaign(campaign)}
