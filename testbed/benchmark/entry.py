@@ -17,7 +17,6 @@ from pydantic import Field, model_validator
 from testbed.core.errors import InputError
 from testbed.core.input_files import read_bounded
 from testbed.scenario import find_code
-from testbed.scenario.control import BUILT_IN
 from testbed.scenario.fields import Finding, Flag, Name, Number, Section, Whole, raise_findings
 from testbed.scenario.validate import validate
 from testbed.scenario.yaml_io import read
@@ -215,7 +214,7 @@ def open_entries(words: Iterable[str], settings: Iterable[Path] = ()) -> list[En
 
 def _open_shipped(name: str) -> Entry:
     file = validate(read(ENTRIES / f"{name}.yaml"), ShippedEntry)
-    if file.law == BUILT_IN:
+    if ":" not in file.law:
         return Entry(file.entry.name, Law(file.law), file.set, file.tune)
     path, _, _ = find_code(file.law).rpartition(":")
     found = Path(path)

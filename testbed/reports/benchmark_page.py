@@ -53,8 +53,8 @@ def interval_text(row: Row) -> str:
 
 
 def equal_text(row: Row) -> str:
-    """Return from which entries one is not parted."""
-    return f"no difference from {', '.join(row['equal'])}" if row["equal"] else ""
+    """Return the entries from which one shows no difference."""
+    return ", ".join(row["equal"])
 
 
 def row_lines(found: Row) -> Iterator[str]:
@@ -69,7 +69,8 @@ def row_lines(found: Row) -> Iterator[str]:
                 f"({interval_text(row)})"
             )
             ended = f"{entry['lost']} lost, {entry['failed']} failed of {entry['flights']}"
-            yield f"{cells:<58} {ended:<34} {equal_text(row)}".rstrip()
+            equal = f"no difference from {equal_text(row)}" if row["equal"] else ""
+            yield f"{cells:<58} {ended:<34} {equal}".rstrip()
         return
     for entry in found["entries"]:
         yield (
@@ -84,7 +85,7 @@ def row_lines(found: Row) -> Iterator[str]:
 def _head(found: Row) -> str:
     conditions, seeds = found["conditions"], found["conditions"]["seeds"]
     kind = (
-        "practice seeds, which are public: no claim"
+        "public practice seeds"
         if seeds["kind"] == "practice"
         else f"seeds of pulse {seeds['pulse'][:16]}…"
     )
@@ -120,11 +121,14 @@ def _ranks(found: Row, tables: Mapping[str, Row]) -> str:
         entry = entries[row["entry"]]
         body.append(
             _cells(rank_text(row), row["entry"], f"{row['mean_m']:.2f}", interval_text(row))
+            + _cells(equal_text(row), style="dim")
             + _cells(str(entry["lost"]), style="red bold" if entry["lost"] else "")
             + _cells(str(entry["failed"]), style="red bold" if entry["failed"] else "")
-            + _cells(equal_text(row), style="dim")
         )
-    headings = ("rank", "entry", "all tasks, m", "95 % interval, m", "lost", "failed", "")
+    headings = (
+        *("rank", "entry", "all tasks, m", "95 % interval, m", "no difference from"),
+        *("lost", "failed"),
+    )
     seeds = found["conditions"]["seeds"]
     note = (
         " These are practice seeds: anyone can tune on them." if seeds["kind"] == "practice" else ""
@@ -175,7 +179,9 @@ def _tasks(found: Row, tables: Mapping[str, Row]) -> str:
             )
             levels = " / ".join(f"{each:.2f}" for each in task["levels_m"])
             body.append(
-                _cells(*ranked, levels)
+                _cells(*ranked)
+                + _cells(equal_text(row) if table else "", style="dim")
+                + _cells(levels)
                 + _cells(str(task["lost"]), style="red bold" if task["lost"] else "")
                 + _cells(str(task["failed"]), style="red bold" if task["failed"] else "")
                 + _cells(
@@ -184,11 +190,11 @@ def _tasks(found: Row, tables: Mapping[str, Row]) -> str:
                     _number(task["saturated_s"], 1),
                     _number(task["effort"], 3),
                 )
-                + _cells(equal_text(row) if table else "", style="dim")
             )
         headings = (
-            *("rank", "entry", "RMS, m", "95 % interval, m", "by level, m", "lost", "failed"),
-            *("separation joining, m", "in the window, m", "saturated, s", "throttle", ""),
+            *("rank", "entry", "RMS, m", "95 % interval, m", "no difference from"),
+            *("by level, m", "lost", "failed", "separation joining, m", "in the window, m"),
+            *("saturated, s", "throttle"),
         )
         question = table["question"] if table else ""
         out.append(

@@ -6,6 +6,7 @@ import pytest
 from tiny_benchmark import Here, fly, write_law, write_tasks
 
 import testbed.benchmark.campaign as module
+from testbed.benchmark import probes
 from testbed.benchmark.campaign import STOPPED
 from testbed.benchmark.cell import LOST_M, CellKey
 from testbed.benchmark.entry import open_law
@@ -48,6 +49,7 @@ def results(tasks, tmp_path_factory):
         settings[-1].write_text(f"entry: {{schema: 1, name: {name}}}\n")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "open_flight_pool", lambda **_: _Block())
+        patch.setattr(probes, "BANKS_DEG", ())  # margins are tested in test_probes
         return fly(words, folder / "out", tasks, settings=settings), folder
 
 
@@ -71,6 +73,7 @@ def pool(monkeypatch):
             return None
 
     monkeypatch.setattr(module, "open_flight_pool", lambda **_: Block())
+    monkeypatch.setattr(probes, "BANKS_DEG", ())
     return here
 
 

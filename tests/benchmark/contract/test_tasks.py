@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from functools import cache
 
 import numpy as np
 import pytest
@@ -25,12 +26,16 @@ def benchmark():
     return load_benchmark()
 
 
-def draw(benchmark, task, level, seed):
-    scenario = open_scenario(task.path).resolve()
+@cache
+def places(path):
+    """Start places and slots by follower."""
+    scenario = open_scenario(path).resolve()
     starts = {each.name: each.start_m for each in scenario.fleet}
-    return draw_flight(
-        benchmark.name, task, level, seed, starts, dict(scenario.formation.offsets_m)
-    )
+    return starts, dict(scenario.formation.offsets_m)
+
+
+def draw(benchmark, task, level, seed):
+    return draw_flight(benchmark.name, task, level, seed, *places(task.path))
 
 
 def test_the_tasks_are_frozen(benchmark):
@@ -82,11 +87,8 @@ def test_every_task_draws_places_path_and_wind(benchmark, name):
 
 def test_a_draw_depends_on_benchmark_task_and_level(benchmark):
     task = benchmark.tasks["wind"]
-    scenario = open_scenario(task.path).resolve()
-    starts = {each.name: each.start_m for each in scenario.fleet}
-    offsets = dict(scenario.formation.offsets_m)
     found = [
-        draw_flight(name, which, level, 1, starts, offsets)
+        draw_flight(name, which, level, 1, *places(task.path))
         for name, which, level in (
             (benchmark.name, task, 1),
             ("formation-bench 1.1", task, 1),
@@ -102,13 +104,12 @@ def test_start_places_are_apart_and_within_the_box(benchmark):
         for level, ranges in enumerate(task.draws, start=1):
             for seed in range(20):
                 found = draw(benchmark, task, level, seed).starts_m
-                places = np.vstack([np.zeros(3), *found.values()])
-                apart = np.linalg.norm(places[:, np.newaxis] - places, axis=2)
-                assert apart[np.triu_indices(len(places), 1)].min() >= LEAST_START_M
+                drawn = np.vstack([np.zeros(3), *found.values()])
+                apart = np.linalg.norm(drawn[:, np.newaxis] - drawn, axis=2)
+                assert apart[np.triu_indices(len(drawn), 1)].min() >= LEAST_START_M
                 if not task.head.begin_at_slots:
-                    scenario = open_scenario(task.path).resolve()
-                    middle = np.array([each.start_m for each in scenario.fleet])
-                    assert (np.abs(places[1:] - middle) <= np.array(ranges.starts_m) + 1e-9).all()
+                    middle = np.array(list(places(task.path)[0].values()))
+                    assert (np.abs(drawn[1:] - middle) <= np.array(ranges.starts_m) + 1e-9).all()
 
 
 def test_levels_of_chance_grow(benchmark):
@@ -122,7 +123,7 @@ def test_levels_of_chance_grow(benchmark):
 
 def test_no_follower_begins_at_its_own_slot(benchmark):
     task = benchmark.tasks["slot-change"]
-    offsets = open_scenario(task.path).resolve().formation.offsets_m
+    offsets = places(task.path)[1]
     for seed in range(20):
         for name, place in draw(benchmark, task, 1, seed).starts_m.items():
             nearest = min(
