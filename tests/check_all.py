@@ -74,6 +74,11 @@ PARTS = (
         parallel=False,
     ),
     Part(
+        "false claims of a benchmark between equal laws",
+        "4,000 pages",
+        "TESTBED_BENCHMARK_PAGES=4000 pytest tests/benchmark/equations/test_score.py",
+    ),
+    Part(
         "functions and components of compiled models against JSBSim",
         "all, 100,000 arguments each",
         "TESTBED_LITERALS=100000 pytest tests/compiled/equations/test_compiled_literals.py",

@@ -18,17 +18,17 @@ from pathlib import Path
 from typing import Any
 
 from testbed.benchmark.cell import FAILED, CellKey, fly_cell, lost_numbers
-from testbed.benchmark.entry import Entry, Law
+from testbed.benchmark.entry import Entry, EntryLaw
 from testbed.benchmark.gain_search import BUDGET, MAX_TIMEOUTS, tune_entry
-from testbed.benchmark.limited_flight import LIMITS, Limits
+from testbed.benchmark.limited_flight import LIMITS, FlightLimits
 from testbed.benchmark.probes import probe_entry
 from testbed.benchmark.result import (
     CellRecord,
     Conditions,
     EntryRecord,
+    EntryResult,
     MarginRecord,
     MessagesRecord,
-    Result,
     SeedsRecord,
     TuningRecord,
     cell_keys,
@@ -54,7 +54,9 @@ Progress = Callable[[int, int], None]
 Found = dict[str, Any]
 
 
-def conditions(benchmark: Benchmark, seeds: SeedsRecord, limits: Limits = LIMITS) -> Conditions:
+def conditions(
+    benchmark: Benchmark, seeds: SeedsRecord, limits: FlightLimits = LIMITS
+) -> Conditions:
     """Return all that the numbers of entries must have in common."""
     package = Path(__file__).parents[1]
     code = {
@@ -120,7 +122,7 @@ class Campaign:
     seeds: SeedsRecord
     folder: Path
     jobs: int | None = None
-    limits: Limits = LIMITS
+    limits: FlightLimits = LIMITS
     budget: int = BUDGET
     tasks: Path | None = None
     only: Sequence[str] = ()
@@ -141,7 +143,7 @@ def fly_campaign(
     *,
     report: Report = lambda line: None,
     progress: Progress = lambda done, total: None,
-) -> list[Result]:
+) -> list[EntryResult]:
     """Fly the entries, and return their results in the order of their names.
 
     Args:
@@ -159,7 +161,7 @@ def fly_campaign(
     cells = campaign.cells()
     total = sum(len(cells) + (campaign.budget if entry.tune else 0) for entry in campaign.entries)
     with open_flight_pool(jobs=campaign.jobs, report=report) as pool:
-        flights = _Flights(campaign, pool, total, progress)
+        flights = _CampaignFlights(campaign, pool, total, progress)
         tunings = {each.name: _tune(each, flights, store, report) for each in campaign.entries}
         gains = {each.name: {**each.set, **_tuned(tunings[each.name])} for each in campaign.entries}
         found: dict[str, list[Found]] = {}
@@ -177,7 +179,7 @@ def fly_campaign(
         probe = probes[entry.name]
         times = [row["cpu_s"] for row in rows if row["outcome"] != FAILED]
         results.append(
-            Result(
+            EntryResult(
                 schema=1,
                 conditions=shared,
                 entry=entry_record(entry, tunings[entry.name]),
@@ -219,26 +221,26 @@ def _tuned(tuning: TuningRecord | None) -> dict[str, float]:
 
 def _measure_cell(
     key: CellKey,
-    law: Law,
+    law: EntryLaw,
     settings: Mapping[str, Any],
     folder: Path | None,
-    limits: Limits,
+    limits: FlightLimits,
     scenario: Scenario,
 ) -> Found:
     return fly_cell(key, law, settings, folder=folder, limits=limits)
 
 
 def _measure_probe(
-    law: Law,
+    law: EntryLaw,
     settings: Mapping[str, Any],
     folder: Path | None,
-    limits: Limits,
+    limits: FlightLimits,
     scenario: Scenario,
 ) -> Found:
     return probe_entry(law, settings, folder=folder, limits=limits)
 
 
-class _Flights:
+class _CampaignFlights:
     """Flights of a campaign in the workers of a pool."""
 
     def __init__(
@@ -255,7 +257,7 @@ class _Flights:
         self._progress(min(self._done, self._total), self._total)
 
     def fly(
-        self, law: Law, work: Iterator[tuple[int, CellKey, Mapping[str, Any]]]
+        self, law: EntryLaw, work: Iterator[tuple[int, CellKey, Mapping[str, Any]]]
     ) -> Iterator[tuple[int, Found]]:
         """Fly cells with settings, and yield the number and the numbers of each as it ends."""
         campaign = self.campaign
@@ -279,7 +281,7 @@ class _Flights:
             self.count(1)
             yield result.number, found
 
-    def probe(self, law: Law, settings: Mapping[str, Any]) -> Found:
+    def probe(self, law: EntryLaw, settings: Mapping[str, Any]) -> Found:
         """Return messages and margins of an entry."""
         campaign = self.campaign
         measure = partial(_measure_probe, law, settings, campaign.tasks, campaign.limits)
@@ -293,7 +295,9 @@ def _failed(key: CellKey, failure: str, why: str) -> Found:
     return {**head, **lost_numbers(), "outcome": FAILED, "failure": failure, "why": why}
 
 
-def _tune(entry: Entry, flights: _Flights, store: _Kept, report: Report) -> TuningRecord | None:
+def _tune(
+    entry: Entry, flights: _CampaignFlights, store: _Kept, report: Report
+) -> TuningRecord | None:
     """Return the tuning of an entry, which is found if it is not kept; None: it has no bounds."""
     if not entry.tune:
         return None
@@ -315,7 +319,7 @@ def _tune(entry: Entry, flights: _Flights, store: _Kept, report: Report) -> Tuni
 
 
 def _fly_entry(
-    entry: Entry, gains: Mapping[str, Any], flights: _Flights, store: _Kept, report: Report
+    entry: Entry, gains: Mapping[str, Any], flights: _CampaignFlights, store: _Kept, report: Report
 ) -> list[Found]:
     """Return all cells of an entry; those of a task are kept when all of them are flown."""
     campaign = flights.campaign
@@ -370,7 +374,12 @@ def _stopped(cells: Sequence[CellKey], found: Mapping[CellKey, Found]) -> list[F
 
 
 def _probe(
-    entry: Entry, gains: Mapping[str, Any], flights: _Flights, store: _Kept, *, stopped: bool
+    entry: Entry,
+    gains: Mapping[str, Any],
+    flights: _CampaignFlights,
+    store: _Kept,
+    *,
+    stopped: bool,
 ) -> Found:
     """Return messages and margins of an entry; none of one whose flights do not end."""
     name, depends = f"probe-{entry.name}", [entry.digest, dict(gains)]

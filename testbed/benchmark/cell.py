@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from testbed.benchmark.draws import DrawnFlight, task_scenario
-from testbed.benchmark.entry import Law
-from testbed.benchmark.limited_flight import LIMITS, Limits, run_limited
+from testbed.benchmark.entry import EntryLaw
+from testbed.benchmark.limited_flight import LIMITS, FlightLimits, run_limited
 from testbed.benchmark.task import WINDOW, load_benchmark
 from testbed.metrics.document import exceedances, losses
 from testbed.runs.run import run
@@ -44,11 +44,11 @@ class CellKey:
 
 def fly_cell(
     key: CellKey,
-    law: Law,
+    law: EntryLaw,
     settings: Mapping[str, Any],
     *,
     folder: Path | None = None,
-    limits: Limits = LIMITS,
+    limits: FlightLimits = LIMITS,
 ) -> dict[str, Any]:
     """Fly one cell in a process of its own, and return its numbers.
 
@@ -86,7 +86,7 @@ def lost_numbers() -> dict[str, Any]:
 
 
 def _fly(
-    key: CellKey, law: Law, settings: Mapping[str, Any], folder: Path | None, place: Path
+    key: CellKey, law: EntryLaw, settings: Mapping[str, Any], folder: Path | None, place: Path
 ) -> dict[str, Any]:
     law.check()
     benchmark = load_benchmark(folder)

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from testbed.benchmark.task import WINDOW, Draw, Task
+from testbed.benchmark.task import WINDOW, BenchmarkTask, Draw
 from testbed.core.files import write_text_file
 from testbed.core.random import named_stream
 from testbed.core.records import Array
@@ -59,7 +59,7 @@ class DrawnFlight:
 
 def draw_flight(
     benchmark: str,
-    task: Task,
+    task: BenchmarkTask,
     level: int,
     seed: int,
     starts_m: Mapping[str, Sequence[float]],
@@ -169,7 +169,7 @@ def _open(path: Path) -> tuple[ScenarioFile, Mapping[str, Any], Mapping[str, Any
 
 def task_scenario(
     benchmark: str,
-    task: Task,
+    task: BenchmarkTask,
     level: int,
     seed: int,
     *,

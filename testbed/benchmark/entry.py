@@ -81,7 +81,7 @@ class ShippedEntry(EntryFile):
 
 
 @dataclass(frozen=True, slots=True)
-class Law:
+class EntryLaw:
     """The code of an entry.
 
     Attributes:
@@ -127,7 +127,7 @@ class Entry:
     """
 
     name: str
-    law: Law
+    law: EntryLaw
     set: Settings
     tune: Mapping[str, GainBounds]
 
@@ -166,7 +166,7 @@ def shipped_names() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in ENTRIES.glob("*.yaml")))
 
 
-def open_law(text: str) -> Law:
+def open_law(text: str) -> EntryLaw:
     """Return the law of a word of the command, LAW.py:function.
 
     Raises:
@@ -177,7 +177,7 @@ def open_law(text: str) -> Law:
         known = ", ".join(shipped_names())
         raise InputError(f"{text}: is no law (write LAW.py:function, or an entry: {known})")
     file = Path(path).absolute()
-    return Law(f"{file}:{function}", file, digest_of(file))
+    return EntryLaw(f"{file}:{function}", file, digest_of(file))
 
 
 def open_entries(words: Iterable[str], settings: Iterable[Path] = ()) -> list[Entry]:
@@ -215,8 +215,8 @@ def open_entries(words: Iterable[str], settings: Iterable[Path] = ()) -> list[En
 def _open_shipped(name: str) -> Entry:
     file = validate(read(ENTRIES / f"{name}.yaml"), ShippedEntry)
     if ":" not in file.law:
-        return Entry(file.entry.name, Law(file.law), file.set, file.tune)
+        return Entry(file.entry.name, EntryLaw(file.law), file.set, file.tune)
     path, _, _ = find_code(file.law).rpartition(":")
     found = Path(path)
     digest = digest_of(found) if found.suffix == ".py" else ""
-    return Entry(file.entry.name, Law(file.law, None, digest), file.set, file.tune)
+    return Entry(file.entry.name, EntryLaw(file.law, None, digest), file.set, file.tune)

@@ -5,7 +5,7 @@ limits are those of the kernel: processor time, address space, size of a file. T
 it, and all that it has started in its group, after a time by the clock. What it returns is JSON of
 a bounded size, which is data.
 
-It is no jail: the program has the rights of the account, and can open files and sockets.
+It is no sandbox: the program has the rights of the account, and can open files and sockets.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _POLL_S = 0.5
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class FlightLimits:
     """Limits of one flight.
 
     Attributes:
@@ -56,7 +56,7 @@ class Limits:
     file_bytes: int = 64_000_000
 
 
-LIMITS = Limits()
+LIMITS = FlightLimits()
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +76,7 @@ class LimitedResult:
     cpu_s: float
 
 
-def run_limited(work: Work, limits: Limits = LIMITS) -> LimitedResult:
+def run_limited(work: Work, limits: FlightLimits = LIMITS) -> LimitedResult:
     """Run work in a copy of this process.
 
     Args:
@@ -120,7 +120,9 @@ def _receive(read: int, wall_s: float) -> tuple[bytes, bool]:
     return data, False
 
 
-def _result(data: bytes, in_time: bool, code: int, cpu_s: float, limits: Limits) -> LimitedResult:
+def _result(
+    data: bytes, in_time: bool, code: int, cpu_s: float, limits: FlightLimits
+) -> LimitedResult:
     """Judge what a copy has sent and how it has ended."""
 
     def failed(failure: Failure, text: str) -> LimitedResult:
@@ -146,7 +148,7 @@ def _result(data: bytes, in_time: bool, code: int, cpu_s: float, limits: Limits)
     return failed("crash", f"ended without a result, with {code}")
 
 
-def _serve(work: Work, write: int, folder: Path, limits: Limits) -> NoReturn:
+def _serve(work: Work, write: int, folder: Path, limits: FlightLimits) -> NoReturn:
     """Run the work in the copy, without output, core file or cleanup."""
     code = 1
     try:

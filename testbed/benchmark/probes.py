@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from testbed.benchmark.draws import task_scenario
-from testbed.benchmark.entry import Law
-from testbed.benchmark.limited_flight import LIMITS, Limits, run_limited
+from testbed.benchmark.entry import EntryLaw
+from testbed.benchmark.limited_flight import LIMITS, FlightLimits, run_limited
 from testbed.benchmark.task import WINDOW, load_benchmark
 from testbed.core.errors import InputError
 from testbed.linear.flown_margins import directions
@@ -26,11 +26,11 @@ BANKS_DEG = (0.0, 45.0)
 
 
 def probe_entry(
-    law: Law,
+    law: EntryLaw,
     settings: Mapping[str, Any],
     *,
     folder: Path | None = None,
-    limits: Limits = LIMITS,
+    limits: FlightLimits = LIMITS,
 ) -> dict[str, Any]:
     """Return `messages` and `margins` of an entry, as `result.Result` has them."""
     flown = {"controller.law": law.reference, **settings}

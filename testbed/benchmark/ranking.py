@@ -10,21 +10,21 @@ from typing import Any
 from testbed.benchmark.cell import FAILED, LOST, LOST_M
 from testbed.benchmark.result import (
     CellRecord,
-    Result,
+    EntryResult,
     check_complete,
     check_same_conditions,
     check_seeds,
     missing_cells,
     seed_numbers,
 )
-from testbed.benchmark.score import ALL, ALPHA, Comparison, compare, standings, with_all
+from testbed.benchmark.score import ALL, ALPHA, PairComparison, compare, standings, with_all
 from testbed.benchmark.task import Benchmark
 from testbed.core.errors import InputError
 
 SCHEMA = 1
 
 
-def rank(results: Sequence[Result], benchmark: Benchmark) -> list[Comparison]:
+def rank(results: Sequence[EntryResult], benchmark: Benchmark) -> list[PairComparison]:
     """Compare complete results.
 
     Raises:
@@ -36,7 +36,7 @@ def rank(results: Sequence[Result], benchmark: Benchmark) -> list[Comparison]:
     return compare({each.entry.name: with_all(seed_numbers(each, benchmark)) for each in results})
 
 
-def _check(results: Sequence[Result], benchmark: Benchmark) -> None:
+def _check(results: Sequence[EntryResult], benchmark: Benchmark) -> None:
     if not results:
         raise InputError("there is no result to rank (name the file of one)")
     names = [each.entry.name for each in results]
@@ -54,7 +54,7 @@ def _check(results: Sequence[Result], benchmark: Benchmark) -> None:
         check_seeds(each)
 
 
-def ranking(results: Sequence[Result], benchmark: Benchmark) -> dict[str, Any]:
+def ranking(results: Sequence[EntryResult], benchmark: Benchmark) -> dict[str, Any]:
     """Return the document of results; without ranks if one is a part.
 
     Raises:
@@ -64,7 +64,7 @@ def ranking(results: Sequence[Result], benchmark: Benchmark) -> dict[str, Any]:
     missing = {each.entry.name: len(missing_cells(each, benchmark)) for each in results}
     conditions = results[0].conditions
     tables: list[dict[str, Any]] = []
-    comparisons: list[Comparison] = []
+    comparisons: list[PairComparison] = []
     if not any(missing.values()):
         comparisons = rank(results, benchmark)
         numbers = {each.entry.name: with_all(seed_numbers(each, benchmark)) for each in results}
@@ -113,7 +113,7 @@ def ranking(results: Sequence[Result], benchmark: Benchmark) -> dict[str, Any]:
     }
 
 
-def _entry(result: Result, benchmark: Benchmark) -> dict[str, Any]:
+def _entry(result: EntryResult, benchmark: Benchmark) -> dict[str, Any]:
     """Return what the page says of an entry, with its numbers by task."""
     cells = result.cells
     return {

@@ -124,7 +124,7 @@ class Conditions(Section):
     seeds: SeedsRecord
 
 
-class Result(Section):
+class EntryResult(Section):
     """The result of an entry."""
 
     schema_: Literal[1] = Field(alias="schema")
@@ -162,13 +162,13 @@ class Result(Section):
         return self
 
 
-def to_document(result: Result) -> dict[str, Any]:
+def to_document(result: EntryResult) -> dict[str, Any]:
     """Return a result as plain data for JSON."""
     document: dict[str, Any] = result.model_dump(mode="json", by_alias=True)
     return document
 
 
-def parse_result(data: bytes, source: str) -> Result:
+def parse_result(data: bytes, source: str) -> EntryResult:
     """Read a result.
 
     Args:
@@ -179,7 +179,7 @@ def parse_result(data: bytes, source: str) -> Result:
         InputError: it is no result.
     """
     try:
-        return Result.model_validate_json(json.dumps(parse_json_map(data)))
+        return EntryResult.model_validate_json(json.dumps(parse_json_map(data)))
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
         where = ".".join(map(str, first["loc"]))
@@ -190,7 +190,7 @@ def parse_result(data: bytes, source: str) -> Result:
         raise InputError(f"{source}: is no result of testbed benchmark: {error}") from None
 
 
-def read_result(path: Path) -> Result:
+def read_result(path: Path) -> EntryResult:
     """Read the file of a result.
 
     Raises:
@@ -210,13 +210,13 @@ def cell_keys(benchmark: Benchmark, seeds: Iterable[int]) -> list[CellKey]:
     ]
 
 
-def missing_cells(result: Result, benchmark: Benchmark) -> list[CellKey]:
+def missing_cells(result: EntryResult, benchmark: Benchmark) -> list[CellKey]:
     """Return the flights of the benchmark that a result does not have."""
     known = {each.key for each in result.cells}
     return [key for key in cell_keys(benchmark, result.conditions.seeds.values) if key not in known]
 
 
-def check_seeds(result: Result) -> None:
+def check_seeds(result: EntryResult) -> None:
     """Check that the seeds of a result are those that follow from what it names.
 
     Raises:
@@ -238,7 +238,7 @@ def check_seeds(result: Result) -> None:
         raise InputError(f"{result.entry.name}: has other seeds than those of its {seeds.kind}")
 
 
-def check_complete(result: Result, benchmark: Benchmark) -> None:
+def check_complete(result: EntryResult, benchmark: Benchmark) -> None:
     """Check that a result has all flights, and no others.
 
     Raises:
@@ -254,7 +254,7 @@ def check_complete(result: Result, benchmark: Benchmark) -> None:
         raise InputError(f"{name}: has flights that are not of the benchmark")
 
 
-def check_same_conditions(results: Sequence[Result]) -> None:
+def check_same_conditions(results: Sequence[EntryResult]) -> None:
     """Check that results may stand in one table.
 
     Raises:
@@ -281,7 +281,7 @@ def _flat(value: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return found
 
 
-def seed_numbers(result: Result, benchmark: Benchmark) -> dict[str, Array]:
+def seed_numbers(result: EntryResult, benchmark: Benchmark) -> dict[str, Array]:
     """Return the numbers (S,) of the seeds by task: the mean over the levels, m."""
     seeds = result.conditions.seeds.values
     by_key = {each.key: each.number_m for each in result.cells}

@@ -26,7 +26,7 @@ Numbers = Mapping[str, Mapping[str, Array]]  # by entry and table: (S,) of the s
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
+class PairComparison:
     """Two entries in one table.
 
     Attributes:
@@ -111,7 +111,7 @@ def with_all(by_task: Mapping[str, Array]) -> dict[str, Array]:
     return {ALL: np.exp(logs.mean(axis=0)), **by_task}
 
 
-def compare(numbers: Numbers) -> list[Comparison]:
+def compare(numbers: Numbers) -> list[PairComparison]:
     """Compare all pairs of entries in all tables.
 
     Args:
@@ -132,11 +132,11 @@ def compare(numbers: Numbers) -> list[Comparison]:
             better, worse, each = worse, better, -each
         mean, low, high = student_interval(each)
         claimed = rejected and mean > ROUNDING_M
-        found.append(Comparison(table, better, worse, mean, low, high, p, claimed))
+        found.append(PairComparison(table, better, worse, mean, low, high, p, claimed))
     return found
 
 
-def standings(numbers: Numbers, comparisons: Iterable[Comparison]) -> dict[str, list[Standing]]:
+def standings(numbers: Numbers, comparisons: Iterable[PairComparison]) -> dict[str, list[Standing]]:
     """Return the entries of each table, the smallest mean first."""
     claims = {(c.table, c.better, c.worse) for c in comparisons if c.claimed}
     tables = next(iter(numbers.values()), {})
@@ -170,7 +170,7 @@ class Agreement:
     reversed: int
 
 
-def agreement(first: Iterable[Comparison], second: Iterable[Comparison]) -> Agreement:
+def agreement(first: Iterable[PairComparison], second: Iterable[PairComparison]) -> Agreement:
     """Compare the claims on two sets of seeds."""
     claims = {(c.table, c.better, c.worse) for c in first if c.claimed}
     others = {(c.table, c.better, c.worse) for c in second if c.claimed}

@@ -99,7 +99,7 @@ class TaskFile(Section):
 
 
 @dataclass(frozen=True, slots=True)
-class Task:
+class BenchmarkTask:
     """A task of the benchmark.
 
     Attributes:
@@ -133,10 +133,10 @@ class Benchmark:
 
     name: str
     digest: str
-    tasks: Mapping[str, Task]
-    tuning: Mapping[str, Task]
+    tasks: Mapping[str, BenchmarkTask]
+    tuning: Mapping[str, BenchmarkTask]
 
-    def task(self, name: str) -> Task:
+    def task(self, name: str) -> BenchmarkTask:
         """Return a task of either kind."""
         return self.tasks[name] if name in self.tasks else self.tuning[name]
 
@@ -189,7 +189,7 @@ def file_digest(path: Path) -> str:
     return hashlib.sha256(read_bounded(path, MAX_TABLE_BYTES)).hexdigest()
 
 
-def _load_task(folder: Path, name: str) -> Task:
+def _load_task(folder: Path, name: str) -> BenchmarkTask:
     path = folder / f"{name}.yaml"
     file = validate(read(path), TaskFile)
     if file.task.name != name:
@@ -204,4 +204,4 @@ def _load_task(folder: Path, name: str) -> Task:
         except ValueError as error:
             raise InputError(f"{path}: levels: draw of level {number}: {error}") from None
         settings.append(changed)
-    return Task(file.task, tuple(draws), tuple(settings), folder / file.task.scenario)
+    return BenchmarkTask(file.task, tuple(draws), tuple(settings), folder / file.task.scenario)

@@ -9,8 +9,8 @@ from typing import Any
 
 from testbed.benchmark.campaign import conditions
 from testbed.benchmark.cell import CellKey, fly_cell
-from testbed.benchmark.entry import Entry, Law, Settings
-from testbed.benchmark.result import CellRecord, Result, check_seeds
+from testbed.benchmark.entry import Entry, EntryLaw, Settings
+from testbed.benchmark.result import CellRecord, EntryResult, check_seeds
 from testbed.benchmark.task import Benchmark
 from testbed.core.errors import InputError
 from testbed.core.random import named_stream
@@ -39,7 +39,7 @@ class RepeatedCell:
     now: CellRecord
 
 
-def check_law(result: Result, law: Law) -> None:
+def check_law(result: EntryResult, law: EntryLaw) -> None:
     """Check that a law is that of a result, before any of its code runs.
 
     Raises:
@@ -63,7 +63,7 @@ def check_law(result: Result, law: Law) -> None:
         )
 
 
-def check_present(result: Result, benchmark: Benchmark) -> None:
+def check_present(result: EntryResult, benchmark: Benchmark) -> None:
     """Check that flights of a result can be repeated here, and have the seeds that they must have.
 
     Raises:
@@ -84,7 +84,7 @@ def check_present(result: Result, benchmark: Benchmark) -> None:
     check_seeds(result)
 
 
-def draw_sample(result: Result, count: int, seed: int) -> list[CellKey]:
+def draw_sample(result: EntryResult, count: int, seed: int) -> list[CellKey]:
     """Draw flights of a result, in their order."""
     keys = [each.key for each in result.cells]
     order = named_stream(seed, f"verify/{result.entry.digest}").permutation(len(keys))
@@ -92,8 +92,8 @@ def draw_sample(result: Result, count: int, seed: int) -> list[CellKey]:
 
 
 def repeat_cells(
-    result: Result,
-    law: Law,
+    result: EntryResult,
+    law: EntryLaw,
     keys: Sequence[CellKey],
     *,
     benchmark: Benchmark,
@@ -131,7 +131,7 @@ def repeat_cells(
 
 def _measure(
     key: CellKey,
-    law: Law,
+    law: EntryLaw,
     gains: Settings,
     scenario: Scenario,
 ) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from testbed.cli.output import (
 
 if TYPE_CHECKING:
     from testbed.benchmark.cell import CellKey
-    from testbed.benchmark.result import Result
+    from testbed.benchmark.result import EntryResult
 
 PAGE, DOCUMENT = "benchmark.html", "benchmark.json"
 RESULTS = "results"
@@ -250,7 +250,7 @@ def benchmark_table_command(
     _print_ranking(found, out, (), result_console(json))
 
 
-def _law_of(result: Result, law: str | None) -> Any:  # noqa: ANN401 - a law
+def _law_of(result: EntryResult, law: str | None) -> Any:  # noqa: ANN401 - a law
     """Return the law that the command names, or one of the testbed."""
     from testbed.benchmark.entry import open_entries, open_law, shipped_names
     from testbed.core.errors import InputError

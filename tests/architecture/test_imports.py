@@ -192,6 +192,7 @@ OPENING = {
     "core.files": "it is the one that writes",
     "core.input_files": "it is the one that reads",
     "core.compile": "sources and locks of the package itself",
+    "benchmark.limited_flight": "the null device, for a stranger's program",
     "core.kept_files": "by the open folder; whatever fails is a miss",
     "logs.file_record": "appends to the record, if it is a regular file",
     "logs.mcap_file": "a new file of its own",

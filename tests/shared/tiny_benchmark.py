@@ -7,11 +7,11 @@ from pathlib import Path
 
 from testbed.benchmark.campaign import Campaign, fly_campaign, practice_seeds
 from testbed.benchmark.entry import open_entries
-from testbed.benchmark.limited_flight import Limits
+from testbed.benchmark.limited_flight import FlightLimits
 from testbed.benchmark.task import default_folder
 from testbed.pool.flight_task import run_task
 
-LIMITS = Limits(cpu_s=30, wall_s=60)
+LIMITS = FlightLimits(cpu_s=30, wall_s=60)
 LAW = '''"""{doc}"""
 import numpy as np
 from testbed.law import FbwaCommand

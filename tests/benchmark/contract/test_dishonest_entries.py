@@ -10,14 +10,14 @@ from testbed.benchmark import probes
 from testbed.benchmark.campaign import STOPPED
 from testbed.benchmark.cell import LOST_M, CellKey
 from testbed.benchmark.entry import open_law
-from testbed.benchmark.limited_flight import Limits
+from testbed.benchmark.limited_flight import FlightLimits
 from testbed.benchmark.ranking import rank, ranking
 from testbed.benchmark.result import parse_result, to_document
 from testbed.benchmark.task import load_benchmark
 from testbed.benchmark.verify import check_law
 from testbed.core.errors import InputError
 
-SHORT = Limits(cpu_s=1, wall_s=20)
+SHORT = FlightLimits(cpu_s=1, wall_s=20)
 
 
 @pytest.fixture(scope="module")

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from testbed.benchmark.limited_flight import MAX_RESULT_BYTES, Limits, run_limited
+from testbed.benchmark.limited_flight import MAX_RESULT_BYTES, FlightLimits, run_limited
 
-LIMITS = Limits(cpu_s=1, wall_s=20, memory_bytes=300_000_000)
+LIMITS = FlightLimits(cpu_s=1, wall_s=20, memory_bytes=300_000_000)
 
 
 def wait_for_end(pid):
@@ -55,7 +55,7 @@ def test_a_program_that_ignores_the_soft_limit_ends():
 
 def test_a_program_that_waits_is_ended():
     started = time.monotonic()
-    found = run_limited(lambda folder: time.sleep(60), Limits(cpu_s=5, wall_s=1))
+    found = run_limited(lambda folder: time.sleep(60), FlightLimits(cpu_s=5, wall_s=1))
     assert (found.failure, found.text) == ("time", "did not end within 1 s by the clock")
     assert time.monotonic() - started < 10
 
@@ -132,7 +132,7 @@ def test_limits_are_those_of_the_copy_alone(tmp_path):
         return os.getcwd() == str(folder)
 
     assert run_limited(work, LIMITS).value is True
-    small = Limits(cpu_s=1, wall_s=20, memory_bytes=300_000_000, file_bytes=1000)
+    small = FlightLimits(cpu_s=1, wall_s=20, memory_bytes=300_000_000, file_bytes=1000)
     assert run_limited(work, small).failure in ("crash", "exception")
     assert (
         resource.getrlimit(resource.RLIMIT_CPU),
@@ -141,7 +141,9 @@ def test_limits_are_those_of_the_copy_alone(tmp_path):
 
 
 def test_a_file_can_be_opened_and_written(tmp_path):
-    """The limits are no jail: SECURITY.md says so."""
+    """The limits are no sandbox, and the text of SECURITY.md has that."""
+    text = (Path(__file__).parents[3] / "SECURITY.md").read_text("utf-8")
+    assert "with limits of time and memory, which is no sandbox" in " ".join(text.split())
     target = tmp_path / "opened"
     assert run_limited(lambda folder: target.write_text("x"), LIMITS).value == 1
     assert target.read_text() == "x"

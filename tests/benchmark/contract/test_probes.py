@@ -4,7 +4,7 @@ import pytest
 from tiny_benchmark import LIMITS, write_law, write_tasks
 
 from testbed.benchmark import probes
-from testbed.benchmark.entry import Law, open_law
+from testbed.benchmark.entry import EntryLaw, open_law
 from testbed.linear.flown_margins import directions
 from testbed.linear.predicted_margins import predict_margins, worse_prediction
 from testbed.scenario import load_scenario
@@ -25,7 +25,7 @@ def _one_bank(monkeypatch):
 
 def test_the_papers_law_needs_all_messages(tasks):
     """Its margins are the least of all followers and commands, as `testbed margins` has them."""
-    found = probes.probe_entry(Law("hbh23"), {}, folder=tasks, limits=LIMITS)
+    found = probes.probe_entry(EntryLaw("hbh23"), {}, folder=tasks, limits=LIMITS)
     assert found["messages"] == {"neighbours": True, "per_s": 75.0}
     scenario = load_scenario(tasks / "four.yaml").with_set_keys(SetKeys())
     turns = [predict_margins(scenario, each, 0.0) for each in directions(0.0)]
