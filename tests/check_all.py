@@ -79,6 +79,12 @@ PARTS = (
         "TESTBED_BENCHMARK_PAGES=4000 pytest tests/benchmark/equations/test_score.py",
     ),
     Part(
+        "claims of the benchmark on a second set of seeds",
+        "two whole benchmarks",
+        "TESTBED_BENCHMARK=1 pytest tests/benchmark/truth/test_second_seeds.py",
+        parallel=False,
+    ),
+    Part(
         "functions and components of compiled models against JSBSim",
         "all, 100,000 arguments each",
         "TESTBED_LITERALS=100000 pytest tests/compiled/equations/test_compiled_literals.py",

@@ -324,7 +324,7 @@ def _fly_entry(
     """Return all cells of an entry; those of a task are kept when all of them are flown."""
     campaign = flights.campaign
     cells = campaign.cells()
-    depends = [entry.digest, dict(gains)]
+    depends = [entry.digest, dict(gains), campaign.seeds.values]
     found: dict[CellKey, Found] = {}
     for task in campaign.benchmark.tasks:
         if (kept := store.read(f"cells-{entry.name}-{task}", depends)) is not None:
@@ -393,11 +393,14 @@ def _probe(
 
 
 class _Kept:
-    """What was found before, in a folder, with a digest of what it depends on."""
+    """What was found before, in a folder, with a digest of what it depends on.
+
+    All depends on the conditions but their seeds, which tuned gains and probes do not.
+    """
 
     def __init__(self, folder: Path, shared: Conditions) -> None:
         self._folder = folder / "kept"
-        self._shared = shared.model_dump(mode="json")
+        self._shared = shared.model_dump(mode="json", exclude={"seeds"})
 
     def _digest(self, depends: object) -> str:
         text = json.dumps([self._shared, depends], sort_keys=True)
