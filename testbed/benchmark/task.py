@@ -175,7 +175,7 @@ def load_benchmark(folder: Path | None = None) -> Benchmark:
     ]
     if missing:
         raise InputError(f"{folder / MANIFEST}: files: has no {', '.join(missing)}")
-    tasks = {kind: {each: _load_task(folder, each) for each in names[kind]} for kind in names}
+    tasks = {kind: {each: load_task(folder, each) for each in names[kind]} for kind in names}
     digest = hashlib.sha256(manifest).hexdigest()
     return Benchmark(title, digest, tasks["tasks"], tasks["tuning_tasks"])
 
@@ -189,7 +189,12 @@ def file_digest(path: Path) -> str:
     return hashlib.sha256(read_bounded(path, MAX_TABLE_BYTES)).hexdigest()
 
 
-def _load_task(folder: Path, name: str) -> BenchmarkTask:
+def load_task(folder: Path, name: str) -> BenchmarkTask:
+    """Read the file of a task.
+
+    Raises:
+        InputError: it is no task.
+    """
     path = folder / f"{name}.yaml"
     file = validate(read(path), TaskFile)
     if file.task.name != name:

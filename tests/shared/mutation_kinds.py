@@ -325,6 +325,58 @@ def feed_result(path):
         journal.close()
 
 
+def make_benchmark(home):
+    """Write an entry of a benchmark with its law, a result of two flights, and copy the tasks."""
+    from testbed.benchmark.campaign import conditions, practice_seeds
+    from testbed.benchmark.cell import lost_numbers
+    from testbed.benchmark.entry import open_entries
+    from testbed.benchmark.task import default_folder, load_benchmark
+
+    tasks, entry, result = home / "tasks", home / "entry.yaml", home / "result.json"
+    shutil.copytree(default_folder(), tasks)
+    (home / "law.py").write_text("raise RuntimeError('imported')\n")
+    entry.write_text(
+        "entry: {schema: 1, name: mine}\nset: {formation.k: 2}\n"
+        "tune:\n  formation.a: {from: 0.5, to: 2, start: 1}\n"
+        "  formation.b: {from: 0, to: 1, start: 0.1}\n"
+    )
+    head = {"task": "wind", "level": 1, "outcome": "lost", "failure": "", "why": "lost: uav1"}
+    document = {
+        "schema": 1,
+        "conditions": conditions(load_benchmark(), practice_seeds()).model_dump(mode="json"),
+        "entry": {
+            **{"name": "hbh23", "digest": open_entries(["hbh23"])[0].digest, "law": "hbh23"},
+            **{"law_sha256": "", "function": "", "set": {}, "tuning": None},
+        },
+        "cells": [{**head, **lost_numbers(), "seed": seed} for seed in (1, 2)],
+        **{"gains": {}, "messages": None, "margins": [], "cpu_s": 0.1, "command": "testbed"},
+    }
+    result.write_text(json.dumps(document, indent=1))
+    return [entry, result, *sorted(tasks.glob("*-*.yaml"))]
+
+
+def feed_benchmark(path):
+    """Read an entry, a task, or a result, of which it makes the page."""
+    from testbed.benchmark.entry import open_entries
+    from testbed.benchmark.ranking import ranking
+    from testbed.benchmark.result import read_result, to_document
+    from testbed.benchmark.task import load_benchmark, load_task
+    from testbed.reports.benchmark_page import benchmark_page, row_lines
+    from testbed.reports.html import render_page
+
+    if path.name == "entry.yaml":
+        (entry,) = open_entries([f"{path.with_name('law.py')}:law"], [path])
+        assert len(entry.digest) == 64
+    elif path.suffix == ".yaml":
+        load_task(path.parent, path.stem)
+    else:
+        result = read_result(path)
+        json.dumps(to_document(result), allow_nan=False)
+        found = ranking([result], load_benchmark())
+        render_page(benchmark_page(found))
+        list(row_lines(found))
+
+
 AIRCRAFT = ROOT / "aircraft"
 SOURCES = (ROOT / "scenarios", DATA / "scenarios", AIRCRAFT)
 KINDS = {
@@ -333,7 +385,8 @@ KINDS = {
         copied(
             *SOURCES,
             only=lambda p: (
-                p.suffix == ".yaml" and "aircraft" not in p.parts and "studies" not in p.parts
+                p.suffix == ".yaml"
+                and not {"aircraft", "studies", "formation-bench-1.0"} & {*p.parts}
             ),
         ),
         feed_scenario,
@@ -357,4 +410,5 @@ KINDS = {
     "aircraft": Kind(8, copied(AIRCRAFT, only=by_suffix(".xml")), feed_aircraft),
     "logs": Kind(12, make_log, feed_log),
     "results": Kind(12, make_study, feed_result),
+    "benchmarks": Kind(12, make_benchmark, feed_benchmark),
 }

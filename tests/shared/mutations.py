@@ -444,6 +444,7 @@ MUTATIONS = {
     ".xml": (*ANY, number, elements, elements, elements, planted, planted, attribute, attribute),
     ".mcap": (flip, cut, splice, *3 * (records,), *6 * (meaning,)),
     ".journal": (*ANY, *6 * (entries,)),
+    ".json": (*ANY, number, number, number, token, token),
     ".parquet": (flip, cut, splice, *6 * (table,)),
 }
 
