@@ -2,7 +2,7 @@
 
 The process is a forked copy of a worker, so that the testbed is loaded and only the law is not. Its
 limits are those of the kernel: processor time, address space, size of a file. The worker also ends
-it, and all that it has started in its group, after a time by the clock. What it returns is JSON of
+it and all processes of its group after a time by the clock. What it returns is JSON of
 a bounded size, which is data.
 
 It is no sandbox: the program has the rights of the account, and can open files and sockets.
