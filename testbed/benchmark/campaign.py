@@ -161,7 +161,7 @@ def fly_campaign(
     cells = campaign.cells()
     total = sum(len(cells) + (campaign.budget if entry.tune else 0) for entry in campaign.entries)
     with open_flight_pool(jobs=campaign.jobs, report=report) as pool:
-        flights = _CampaignFlights(campaign, pool, total, progress)
+        flights = _CampaignFlights(campaign, pool, total, progress, report)
         tunings = {each.name: _tune(each, flights, store, report) for each in campaign.entries}
         gains = {each.name: {**each.set, **_tuned(tunings[each.name])} for each in campaign.entries}
         found: dict[str, list[Found]] = {}
@@ -244,10 +244,17 @@ class _CampaignFlights:
     """Flights of a campaign in the workers of a pool."""
 
     def __init__(
-        self, campaign: Campaign, pool: FlightPool, total: int, progress: Progress
+        self,
+        campaign: Campaign,
+        pool: FlightPool,
+        total: int,
+        progress: Progress,
+        report: Report,
     ) -> None:
         self.campaign = campaign
         self._pool, self._total, self._progress = pool, total, progress
+        self._report = report
+        self._told = set[str]()  # laws of which a failure was reported
         self._done = 0
         self._any = _scenario(next(iter(campaign.benchmark.tasks.values())).path)
 
@@ -279,6 +286,10 @@ class _CampaignFlights:
                 why = f"crash: {result.error}"[:200]
                 found = {**_failed(key, "crash", why), "cpu_s": 0.0}
             self.count(1)
+            if found["failure"] and law.reference not in self._told:
+                self._told.add(law.reference)
+                name = law.function or law.reference
+                self._report(f"{name}: the first flight that fails, {key}: {found['why']}")
             yield result.number, found
 
     def probe(self, law: EntryLaw, settings: Mapping[str, Any]) -> Found:

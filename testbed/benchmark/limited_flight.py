@@ -35,7 +35,7 @@ from testbed.core.input_files import parse_json
 Failure = Literal["", "exception", "time", "memory", "crash"]
 Work = Callable[[Path], Any]
 MAX_RESULT_BYTES = 1_000_000
-MAX_TEXT = 300  # characters of an error
+MAX_TEXT = 1000  # characters of an error
 _POLL_S = 0.5
 
 
@@ -182,7 +182,7 @@ def _serve(work: Work, write: int, folder: Path, limits: FlightLimits) -> NoRetu
         except BaseException as error:
             gc.collect()
             kind = "exception" if memory_shortage(error) is None else "memory"
-            found = (kind, _describe(error)[:MAX_TEXT])
+            found = (kind, _describe(error).replace(f"{folder}/", "")[:MAX_TEXT])
         os.write(write, json.dumps(found, allow_nan=False).encode())
         code = 0
     finally:

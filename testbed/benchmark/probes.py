@@ -49,6 +49,8 @@ def probe_entry(
         result = run_limited(partial(margins, bank_deg), limits)
         empty = {"bank_deg": bank_deg, "damping": None, "factor": None, "phase_deg": None}
         problem = result.value if isinstance(result.value, str) else f"{result.failure}"
+        if law.file is not None:  # results are the same in every folder
+            problem = problem.replace(f"{law.file.parent}/", "")
         row = {**empty, "latency_s": None, "problem": problem[:200]}
         found.append(result.value if isinstance(result.value, dict) else row)
     return {"messages": needed if isinstance(needed, dict) else None, "margins": found}

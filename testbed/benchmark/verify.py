@@ -123,6 +123,8 @@ def repeat_cells(
             now = CellRecord(**{k: v for k, v in done.metrics.items() if k != "cpu_s"})
             was = known[keys[done.number]]
             one, two = was.model_dump(), now.model_dump()
+            if was.failure == now.failure != "":  # of which the text is that of the machine
+                two["why"] = one["why"]
             different = tuple(name for name in one if one[name] != two[name])
             found[done.number] = RepeatedCell(was.key, different, was, now)
             progress(len(found), len(keys))

@@ -90,10 +90,8 @@ def write_law(path: Path, *, top="", step="pass", doc="Fly straight on.") -> str
     return f"{path}:Law"
 
 
-def fly(words, folder, tasks, *, limits=LIMITS, settings=(), only=(), budget=150):
+def fly(words, folder, tasks, *, limits=LIMITS, settings=(), only=(), report=print):
     """Fly entries on the tiny benchmark, and return their results by name."""
     entries = open_entries(words, settings)
-    campaign = Campaign(
-        entries, practice_seeds(), folder, limits=limits, tasks=tasks, only=only, budget=budget
-    )
-    return {each.entry.name: each for each in fly_campaign(campaign)}
+    campaign = Campaign(entries, practice_seeds(), folder, limits=limits, tasks=tasks, only=only)
+    return {each.entry.name: each for each in fly_campaign(campaign, report=report)}

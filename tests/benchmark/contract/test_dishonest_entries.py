@@ -235,6 +235,18 @@ def test_a_digest_that_lies_runs_nothing(results, tmp_path):
     assert not marker.exists()
 
 
+def test_the_first_failure_is_told_at_once(pool, tasks, tmp_path):
+    """Of each law once, with its reason: a wrong option is seen before all flights have failed."""
+    words = [write_law(tmp_path / "bad.py", top="raise ValueError('no')")]
+    lines = []
+    found = fly(words, tmp_path / "out", tasks, only=("gentle",), report=lines.append)["Law"]
+    assert {each.failure for each in found.cells} == {"exception"}
+    (told,) = [line for line in lines if "the first flight that fails" in line]
+    assert "gentle/1/1: exception: " in told
+    assert "bad.py:4: the law raised ValueError: no" in told
+    assert not [each.why for each in found.cells if str(tmp_path) in each.why]
+
+
 def test_a_file_that_changes_meanwhile_fails(results, tasks, tmp_path):
     from testbed.benchmark.cell import fly_cell
 
