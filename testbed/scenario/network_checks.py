@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from typing import NamedTuple
 
 from testbed.scenario.fields import Finding, KeyPath
 from testbed.scenario.network import (
@@ -29,14 +30,32 @@ _REACH_BELOW = {"uniform": 1.0, "pareto": 3.0**-0.5}  # pareto: shape 3
 _MIN_LOGNORMAL_MEAN = 1e-3  # in spread_s
 
 
+class Ends(NamedTuple):
+    """What a network connects, and its words in errors."""
+
+    names: Sequence[str]  # of senders
+    receivers: Sequence[str]
+    one: str = "aircraft"
+    all_of_them: str = "the aircraft are"
+    receiver: str = "follower"
+    all_receivers: str = "the fleet has"
+
+
 def check_network(scenario: Sections) -> Iterator[Finding]:
     """Yield the contradictions of the network section."""
+    names = scenario.aircraft_names
     yield from _encoding(scenario)
-    yield from _senders(scenario)
-    yield from _partitions(scenario)
-    yield from _tdma(scenario)
-    yield from _ends(scenario)
-    yield from _links(scenario.network, scenario.aircraft_names)
+    yield from _periods(scenario)
+    yield from check_links(scenario.network, Ends(names, names[1:]))
+
+
+def check_links(network: Network, ends: Ends) -> Iterator[Finding]:
+    """Yield the contradictions of what acts on packets between some ends."""
+    yield from _senders(network, ends)
+    yield from _partitions(network, ends)
+    yield from _tdma(network, ends)
+    yield from _ends(network, ends)
+    yield from _links(network, ends)
 
 
 def _encoding(scenario: Sections) -> Iterator[Finding]:
@@ -64,24 +83,26 @@ def _encoding(scenario: Sections) -> Iterator[Finding]:
         )
 
 
-def _unknown(at: KeyPath, name: str, names: Sequence[str]) -> Iterator[Finding]:
-    if name not in names:
+def _unknown(at: KeyPath, name: str, ends: Ends) -> Iterator[Finding]:
+    if name not in ends.names:
         yield (
             at,
-            f"no aircraft has this name{did_you_mean(name, names)} (the aircraft are "
-            f"{', '.join(names)})",
+            f"no {ends.one} has this name{did_you_mean(name, ends.names)} ({ends.all_of_them} "
+            f"{', '.join(ends.names)})",
         )
 
 
-def _senders(scenario: Sections) -> Iterator[Finding]:
-    network, names = scenario.network, scenario.aircraft_names
+def _senders(network: Network, ends: Ends) -> Iterator[Finding]:
     for key in ("transmitter_off_s", "broadcast", "clocks"):
         for name in getattr(network, key):
-            yield from _unknown((*_AT, key, name), name, names)
+            yield from _unknown((*_AT, key, name), name, ends)
     for name, windows in network.transmitter_off_s.items():
         for index, window in enumerate(windows):
             yield from _check_window((*_AT, "transmitter_off_s", name, index), window)
-    step = 1.0 / scenario.rates.physics_hz
+
+
+def _periods(scenario: Sections) -> Iterator[Finding]:
+    network, step = scenario.network, 1.0 / scenario.rates.physics_hz
     for name, beat in network.broadcast.items():
         if beat.period_s is not None and beat.period_s < step:
             yield (
@@ -91,8 +112,8 @@ def _senders(scenario: Sections) -> Iterator[Finding]:
             )
 
 
-def _partitions(scenario: Sections) -> Iterator[Finding]:
-    for index, partition in enumerate(scenario.network.partitions):
+def _partitions(network: Network, ends: Ends) -> Iterator[Finding]:
+    for index, partition in enumerate(network.partitions):
         at = (*_AT, "partitions", index)
         yield from _check_window((*at, "window_s"), partition.window_s)
         groups = partition.groups
@@ -102,13 +123,17 @@ def _partitions(scenario: Sections) -> Iterator[Finding]:
             for column, name in enumerate(group)
         ]
         for place, name in places:
-            yield from _unknown(place, name, scenario.aircraft_names)
+            yield from _unknown(place, name, ends)
         yield from _twice(places, "is in a group already (write each name once)")
-        if any(set(scenario.aircraft_names) <= set(group) for group in groups):
+        if any(set(ends.names) <= set(group) for group in groups):
             yield (
                 (*at, "groups"),
-                "puts all aircraft in one group, which divides nothing (write fewer names)",
+                f"puts all {_plural(ends)} in one group, which divides nothing (write fewer names)",
             )
+
+
+def _plural(ends: Ends) -> str:
+    return ends.one if ends.one == "aircraft" else f"{ends.one}s"
 
 
 def _twice(places: Iterable[tuple[KeyPath, str]], text: str) -> Iterator[Finding]:
@@ -119,8 +144,8 @@ def _twice(places: Iterable[tuple[KeyPath, str]], text: str) -> Iterator[Finding
         seen.add(name)
 
 
-def _tdma(scenario: Sections) -> Iterator[Finding]:
-    network, names = scenario.network, scenario.aircraft_names
+def _tdma(network: Network, ends: Ends) -> Iterator[Finding]:
+    names = ends.names
     if network.tdma is None:
         return
     for at, link in link_entries(network):
@@ -135,25 +160,24 @@ def _tdma(scenario: Sections) -> Iterator[Finding]:
     at = (*_AT, "tdma", "order")
     places = [((*at, index), name) for index, name in enumerate(order)]
     for place, name in places:
-        yield from _unknown(place, name, names)
+        yield from _unknown(place, name, ends)
     yield from _twice(places, "has a slot already (write each name once)")
     missing = [name for name in names if name not in order]
     if missing:
-        yield at, f"has no slot for {', '.join(missing)} (write every aircraft, or leave order out)"
+        what = f"has no slot for {', '.join(missing)}"
+        yield at, f"{what} (write every {ends.one}, or leave order out)"
 
 
-def _ends(scenario: Sections) -> Iterator[Finding]:
+def _ends(network: Network, ends: Ends) -> Iterator[Finding]:
     """Check that the keys below links are a sender and a receiver."""
-    names = scenario.aircraft_names
-    leader, *followers = names
-    for sender, receivers in scenario.network.links.items():
+    for sender, receivers in network.links.items():
         at = (*_AT, "links", sender)
         if sender != ANY:
-            yield from _unknown(at, sender, names)
+            yield from _unknown(at, sender, ends)
         for receiver in receivers:
             if receiver == ANY:
                 continue
-            if receiver == leader:
+            if receiver in ends.names and receiver not in ends.receivers:
                 yield (
                     (*at, receiver),
                     "is the leader, which receives no messages (write the sender first, then a "
@@ -161,20 +185,20 @@ def _ends(scenario: Sections) -> Iterator[Finding]:
                 )
             elif receiver == sender:
                 yield (*at, receiver), "is sender and receiver (leave this key out)"
-            elif receiver not in names:
+            elif receiver not in ends.receivers:
                 yield (
                     (*at, receiver),
-                    f"no follower has this name{did_you_mean(receiver, followers)} (the fleet has "
-                    f"{', '.join(followers)}; '*' is all of them)",
+                    f"no {ends.receiver} has this name{did_you_mean(receiver, ends.receivers)} "
+                    f"({ends.all_receivers} {', '.join(ends.receivers)}; '*' is all of them)",
                 )
 
 
-def _links(network: Network, names: Sequence[str]) -> Iterator[Finding]:
+def _links(network: Network, ends: Ends) -> Iterator[Finding]:
     """Check each entry that describes a link, then the resolved links."""
     for at, link in link_entries(network):
         yield from _entry(at, link)
     seen = set()
-    for source, destination in _pairs(network, names):
+    for source, destination in _pairs(network, ends):
         for finding in _resolved(network, source, destination):
             if finding[0] not in seen:  # one finding per entry, not per link
                 seen.add(finding[0])
@@ -264,15 +288,16 @@ def _curve(at: KeyPath, curve: Curve, what: str) -> Iterator[Finding]:
             )
 
 
-def _pairs(network: Network, names: Sequence[str]) -> Iterator[tuple[str, str]]:
+def _pairs(network: Network, ends: Ends) -> Iterator[tuple[str, str]]:
     """Yield the links with an entry, and one of those that are alike."""
+    names = ends.names
     sources = {*network.links} - {ANY}
     destinations = {receiver for each in network.links.values() for receiver in each} - {ANY}
     others = [name for name in names if name not in sources][:1]
-    unnamed = [name for name in names[1:] if name not in destinations]
+    unnamed = [name for name in ends.receivers if name not in destinations]
     for source in (name for name in names if name in sources or name in others):
         rest = [name for name in unnamed if name != source][:1]
-        for destination in names[1:]:
+        for destination in ends.receivers:
             if destination != source and (destination in destinations or destination in rest):
                 yield source, destination
 

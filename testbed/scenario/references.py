@@ -9,19 +9,20 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import Any, NamedTuple, TypeVar
 
 from testbed.core.errors import InputError
 from testbed.core.library import library as library
 from testbed.scenario.checks import check_air, check_sensor_rates
-from testbed.scenario.fields import KeyPath
+from testbed.scenario.fields import KeyPath, Section
 from testbed.scenario.problems import FilePosition, Problem, ScenarioError, did_you_mean
 from testbed.scenario.reference_fields import Reference, ReferenceKind, references
-from testbed.scenario.schema import FlightT, Scenario
+from testbed.scenario.schema import Scenario
 from testbed.scenario.single_aircraft import SingleAircraft
 from testbed.scenario.yaml_io import Node, error_at, walk
 
 _Found = TypeVar("_Found")
+SectionT = TypeVar("SectionT", bound=Section)
 _DATA = Path("scenarios/data")
 _YAML, _PARAM = ".yaml", ".param"
 
@@ -366,14 +367,14 @@ def _code_file(name: str, folder: Path, within: Path | None) -> str | None:
 
 
 def resolve_references(
-    scenario: Scenario, tree: Node, settings_folder: Path | None = None
-) -> Scenario:
-    """Return the scenario with every reference as a name, or else as an absolute path.
+    section: SectionT, tree: Node, settings_folder: Path | None = None
+) -> SectionT:
+    """Return a scenario or a section with every reference as a name, or else as an absolute path.
 
     So a resolved scenario means the same in any folder.
 
     Args:
-        scenario: validated.
+        section: validated.
         tree: that it was made of.
         settings_folder: of the file that has the settings, as a study; None: the caller wrote them.
             Their relative paths are from there, or else from here.
@@ -382,11 +383,11 @@ def resolve_references(
         ScenarioError: with every file that cannot be found.
     """
     resolver = _Resolver(tree, settings_folder)
-    for reference in references(scenario):
+    for reference in references(section):
         resolver.resolve(reference)
     if resolver.problems:
         raise ScenarioError(resolver.problems)
-    return with_values(scenario, resolver.changes)
+    return with_values(section, resolver.changes)
 
 
 def resolve_single_aircraft(flight: SingleAircraft) -> SingleAircraft:
@@ -431,12 +432,12 @@ def code_references(scenario: Scenario) -> Iterator[tuple[KeyPath, str]]:
             yield reference.loc, reference.name
 
 
-def with_values(scenario: FlightT, changes: Iterable[tuple[KeyPath, str]]) -> FlightT:
-    """Return a scenario with other texts at these keys."""
-    data = scenario.model_dump(by_alias=True)
+def with_values(section: SectionT, changes: Iterable[tuple[KeyPath, str]]) -> SectionT:
+    """Return a scenario or a section with other texts at these keys."""
+    data = section.model_dump(by_alias=True)
     for loc, value in changes:
         _put(data, loc, value)
-    return cast(FlightT, type(scenario).model_validate(data))
+    return type(section).model_validate(data)
 
 
 def _put(data: Any, loc: KeyPath, value: str) -> None:  # noqa: ANN401 - nested plain data
