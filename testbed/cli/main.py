@@ -41,6 +41,7 @@ PANELS: Final[Mapping[str, Mapping[str, str]]] = {
         "delay": "delay",
         "frequency-response": "frequency_response",
         "network": "network",
+        "link": "link",
         "air": "air",
         "schema": "validate",
     },
@@ -95,7 +96,7 @@ _OPTION_PANELS: Final[Mapping[str, Mapping[str, tuple[str, ...]]]] = {
 }
 _WITH_EXIT_CODES: Final = (
     "demo", "run", "assess", "view", "shot", "check", "compare", "sweep", "tune", "respond",
-    "arduplane",
+    "arduplane", "link",
 )  # fmt: skip
 
 

@@ -188,7 +188,7 @@ class Codec:
         sender = self._sequence, self._system, self._component
         header = load_dialect().MAVLink_header(layout.number, flags, 0, len(payload), *sender)
         frame: bytes = header.pack() + payload
-        frame += struct.pack("<H", _checksum(frame[1:] + layout.seed))
+        frame += struct.pack("<H", checksum(frame[1:] + layout.seed))
         self._sequence = (self._sequence + 1) % 256
         return self._signer.sign(frame) if self._signer else frame
 
@@ -246,7 +246,7 @@ def decode(frame: bytes) -> Message | None:
         return None
     layout = _layout(number)
     end = len(frame) - _CHECKSUM - (SIGNATURE_BYTES if _signed(frame) else 0)
-    if int.from_bytes(frame[end : end + 2], "little") != _checksum(frame[1:end] + layout.seed):
+    if int.from_bytes(frame[end : end + 2], "little") != checksum(frame[1:end] + layout.seed):
         return None
     sequence, system, component = frame[2:5] if old else frame[4:7]
     fields = layout.unpack(frame[_HEAD_V1 if old else _HEAD_V2 : end])
@@ -296,10 +296,10 @@ def load_dialect() -> ModuleType:
     return dialect
 
 
-def _checksum(data: bytes) -> int:
+def checksum(data: bytes) -> int:
     """Compute the CRC-16/MCRF4XX."""
-    checksum: int = load_dialect().x25crc(data).crc
-    return checksum
+    found: int = load_dialect().x25crc(data).crc
+    return found
 
 
 @functools.cache

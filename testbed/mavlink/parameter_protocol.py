@@ -32,7 +32,7 @@ class ParameterProtocol:
 
     def poll(self) -> list[OutgoingMessage]:
         """Return the next values of the list that is being sent."""
-        if self._next is None:
+        if self._next is None or not self._context.radio.takes_lists(self._context.wall_s):
             return []
         values = self._context.parameters()
         stop = min(self._next + BATCH, len(values))

@@ -1,4 +1,4 @@
-"""Small MAVLink services: FTP, onboard logs, time synchronisation, ping, data streams."""
+"""Small MAVLink services: FTP, onboard logs, time synchronisation, ping, data streams, radios."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ class Services:
             "TIMESYNC": self._timesync,
             "PING": self._ping,
             "REQUEST_DATA_STREAM": self._stream,
+            "RADIO_STATUS": self._radio,
         }
 
     def _ftp(self, message: Message) -> list[OutgoingMessage]:
@@ -66,4 +67,11 @@ class Services:
         started = int(message.number("start_stop")) == 1
         stream = int(message.number("req_stream_id"))
         self._schedule.set_stream(stream, rate_hz if started else 0.0)
+        return []
+
+    def _radio(self, message: Message) -> list[OutgoingMessage]:
+        """Send telemetry slower while the radio's buffer is full, as ArduPilot does."""
+        radio = self._context.radio
+        radio.report(int(message.number("txbuf")), self._context.wall_s)
+        self._schedule.slowdown_us = 1000 * radio.slowdown_ms
         return []

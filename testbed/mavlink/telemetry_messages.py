@@ -101,6 +101,9 @@ class MessageSchedule:
     """Send intervals and next send times of the telemetry messages of one vehicle.
 
     Messages are sent with samples, so that no rate exceeds the sample rate.
+
+    Attributes:
+        slowdown_us: added to every interval but that of the heartbeat.
     """
 
     def __init__(self, sample_rate_hz: float, *, lockstep: bool) -> None:
@@ -110,6 +113,7 @@ class MessageSchedule:
             sample_rate_hz: rate of the samples.
             lockstep: send `LOCKSTEP_STATE` with every sample.
         """
+        self.slowdown_us = 0
         self._min_interval_us = round(1e6 / sample_rate_hz)
         self._always = frozenset(LOCKSTEP_STATE if lockstep else ())
         self._intervals = {name: self._default(name) for name in TELEMETRY_MESSAGES}
@@ -125,7 +129,7 @@ class MessageSchedule:
                 names.append(name)
             elif when is not None and when <= now:
                 names.append(name)
-                every = self._intervals[name]
+                every = self._intervals[name] + (self.slowdown_us if name != HEARTBEAT else 0)
                 # keeps the mean rate where samples are not at multiples of the interval
                 self._next[name] = when + every if when + every > now else now + every
         return names

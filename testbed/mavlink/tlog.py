@@ -18,8 +18,8 @@ _TIME = struct.Struct(">Q")
 _FLUSH_S, _BUFFER_BYTES = 0.35, 1 << 14  # wall-clock s and bytes after which records are written
 
 
-class TlogWriter:
-    """Write a log.
+class RecordWriter:
+    """Write records to a new file, some at a time.
 
     Raises:
         MavlinkError: the file cannot be written; also from every method, once.
@@ -33,14 +33,9 @@ class TlogWriter:
             self._file = path.open("wb", buffering=0)
         self._buffer = bytearray()
 
-    def write(self, time_us: int, frame: bytes) -> None:
-        """Add a frame.
-
-        Args:
-            time_us: of its receipt, µs since 1970.
-            frame: one MAVLink frame.
-        """
-        self._buffer += _TIME.pack(time_us) + frame
+    def add(self, record: bytes) -> None:
+        """Add a record."""
+        self._buffer += record
         if len(self._buffer) > _BUFFER_BYTES or time.monotonic() - self._flushed > _FLUSH_S:
             self._flush()
 
@@ -64,6 +59,23 @@ class TlogWriter:
             yield
         except OSError as error:
             raise MavlinkError(f"{self._path}: cannot be written: {error.strerror}") from error
+
+
+class TlogWriter(RecordWriter):
+    """Write a telemetry log.
+
+    Raises:
+        MavlinkError: the file cannot be written; also from every method, once.
+    """
+
+    def write(self, time_us: int, frame: bytes) -> None:
+        """Add a frame.
+
+        Args:
+            time_us: of its receipt, µs since 1970.
+            frame: one MAVLink frame.
+        """
+        self.add(_TIME.pack(time_us) + frame)
 
 
 class Tlog:

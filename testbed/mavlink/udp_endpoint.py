@@ -9,11 +9,14 @@ sent are counted and dropped.
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import ipaddress
 import re
 import select
 import socket
+import struct
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -136,6 +139,10 @@ MAX_PEERS = 16  # of a listening socket
 PEER_TIMEOUT_S = 120.0  # wall-clock s for which data is sent to a peer that sends nothing
 SEND_ATTEMPTS = 2  # the first may only report that an earlier datagram was refused
 BUFFER_BYTES = 1 << 20  # requested size of the system's receive and send buffers
+# Of Linux: the time of receipt with each datagram, and how many the system has dropped before it.
+_STAMP, _DROPPED = getattr(socket, "SO_TIMESTAMPNS", 35), getattr(socket, "SO_RXQ_OVFL", 40)
+_LARGEST_DATAGRAM, _ANCILLARY_BYTES = 1 << 16, 128
+_TIMESPEC, _COUNT = struct.Struct("qq"), struct.Struct("I")
 
 
 class Endpoint:
@@ -143,26 +150,35 @@ class Endpoint:
 
     Attributes:
         dropped: datagrams that could not be sent.
+        unread: datagrams that the system has dropped before they were read, with time stamps.
 
     Raises:
         InputError: the address cannot be used.
     """
 
-    def __init__(self, address: Address, clock: Callable[[], float]) -> None:
+    def __init__(
+        self, address: Address, clock: Callable[[], float], *, stamped: bool = False
+    ) -> None:
         """Open the socket.
 
         Args:
             address: of one port.
             clock: wall-clock time, s.
+            stamped: for `receive_stamped`.
         """
-        self.dropped = 0
+        self.dropped = self.unread = 0
         self._clock = clock
         self._fixed = address.kind == "udpout"
         self._peers: dict[Peer, float] = {}  # time at which each last sent something
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
+        size = 4 * BUFFER_BYTES if stamped else BUFFER_BYTES
         for option in (socket.SO_RCVBUF, socket.SO_SNDBUF):
-            self._socket.setsockopt(socket.SOL_SOCKET, option, BUFFER_BYTES)
+            self._socket.setsockopt(socket.SOL_SOCKET, option, size)
+        self._buffer = bytearray(_LARGEST_DATAGRAM if stamped else 0)
+        for option in (_STAMP, _DROPPED) if stamped else ():
+            with contextlib.suppress(OSError):  # another system: stamped when read
+                self._socket.setsockopt(socket.SOL_SOCKET, option, 1)
         try:
             if self._fixed:
                 # connected, so that the system discards datagrams from other peers
@@ -187,6 +203,30 @@ class Endpoint:
             except OSError:
                 return
             yield peer, data
+
+    def receive_stamped(self, most: int) -> Iterator[tuple[Peer, bytes, int]]:
+        """Yield received datagrams of any size with senders and times of receipt, ns since 1970.
+
+        Args:
+            most: number of datagrams.
+        """
+        for _ in range(most):
+            try:
+                size, ancillary, _, peer = self._socket.recvmsg_into(
+                    [self._buffer], _ANCILLARY_BYTES
+                )
+            except ConnectionRefusedError:
+                continue
+            except OSError:
+                return
+            time_ns = 0
+            for _, kind, content in ancillary:
+                if kind == _STAMP and len(content) == _TIMESPEC.size:
+                    seconds, rest = _TIMESPEC.unpack(content)
+                    time_ns = seconds * 1_000_000_000 + rest
+                elif kind == _DROPPED and len(content) == _COUNT.size:
+                    (self.unread,) = _COUNT.unpack(content)
+            yield peer, bytes(self._buffer[:size]), time_ns or time.time_ns()
 
     def add_peer(self, peer: Peer) -> None:
         """Send to this peer too from now on, unless there are `MAX_PEERS` active ones."""

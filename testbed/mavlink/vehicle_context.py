@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 from testbed.core.records import NedOrigin
 from testbed.mavlink.outgoing import OutgoingMessage, StatusTexts
+from testbed.mavlink.radio_buffer import RadioBuffer
 from testbed.mavlink.rc_channels import (
     MAX_US,
     MIN_US,
@@ -66,6 +67,7 @@ class VehicleContext:
         wall_s: wall-clock time of the message that is handled, or of the latest poll, s.
         own_parameters: parameters that `control` does not have.
         texts: makes its STATUSTEXTs.
+        radio: what radios report of their buffers.
     """
 
     control: VehicleControl
@@ -78,6 +80,7 @@ class VehicleContext:
     wall_s: float = 0.0
     own_parameters: dict[str, float] = field(default_factory=dict)
     texts: StatusTexts = field(default_factory=StatusTexts)
+    radio: RadioBuffer = field(default_factory=RadioBuffer)
 
     def __post_init__(self) -> None:
         """Set the default parameters."""

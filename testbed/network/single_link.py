@@ -218,4 +218,6 @@ class SingleLink:
     def summary(self) -> Mapping[str, Any]:
         """Return the statistics of the link, ready for JSON; see `link_statistics.summarise`."""
         sender, receiver = self._names
-        return summarise(self._statistics, self._names)["links"][sender][receiver]
+        links: Mapping[str, Mapping[str, Any]] = summarise(self._statistics, self._names)["links"]
+        found: Mapping[str, Any] = links[sender][receiver]
+        return found
