@@ -166,13 +166,13 @@ def link_command(
         for capture in captures:
             stack.callback(capture.close)
         emulator = LinkEmulator(settings, (ends[0], ends[1]), streams, captures)
-        for line in _begin_lines(settings, addresses, ends):
-            messages.write_line(line, "yellow" if line.startswith("warning") else "")
         lost: ExternalProgramLost | None = None
         gc.collect()
         gc.freeze()  # what lives as long as the link is not searched again while packets wait
         try:
             with _live_line(settings, hidden=quiet) as progress:
+                for line in _begin_lines(settings, addresses, ends):
+                    messages.write_line(line, "yellow" if line.startswith("warning") else "")
                 emulator.run(stop, duration_s=duration_s, progress=progress)
         except ExternalProgramLost as error:
             lost = error

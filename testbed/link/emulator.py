@@ -17,7 +17,13 @@ from typing import Any, NamedTuple
 
 from testbed.link.end_positions import EndPositions
 from testbed.link.ends import End
-from testbed.link.frame_cutter import StreamCutter, Unit, cut_datagram, find_frames
+from testbed.link.frame_cutter import (
+    StreamCutter,
+    Unit,
+    cut_datagram,
+    find_frames,
+    load_messages,
+)
 from testbed.link.link_settings import LinkSettings
 from testbed.link.message_counts import Durations, MessageCounts
 from testbed.link.packet_capture import EndCapture
@@ -108,6 +114,7 @@ class LinkEmulator:
         self._fed_ns = [0, 0]  # when a line was last read
         self._begin_ns = self._end_ns = time.monotonic_ns()
         self._used_s = 0.0
+        load_messages()  # not when the first packet waits
 
     def run(
         self,

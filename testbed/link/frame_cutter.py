@@ -121,8 +121,8 @@ class StreamCutter:
 
 
 @functools.cache
-def _seeds() -> Mapping[int, bytes]:
-    """Return the last byte under the checksum, by message id."""
+def load_messages() -> Mapping[int, bytes]:
+    """Return the last byte under the checksum of each message, by its id."""
     return {number: bytes([each.crc_extra]) for number, each in load_dialect().mavlink_map.items()}
 
 
@@ -142,7 +142,7 @@ def _read_frame(data: bytes, at: int, end: int) -> Frame | None:
     else:
         head, system, number = at + _HEAD_V1, data[at + 3], data[at + 5]
     payload_end = head + data[at + 1]
-    seed = _seeds().get(number)
+    seed = load_messages().get(number)
     if seed is None:
         if end < len(data) and data[end] not in _MARKERS:
             return None

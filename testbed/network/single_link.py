@@ -126,14 +126,15 @@ class SingleLink:
         self.number = self._latest = -1
         self._statistics, self._sent_s = initial_statistics(1, 2), np.zeros(2)
         self._counts = np.array([0, 4], dtype=np.int64)  # of the queue, which is not used here
+        senders = np.zeros(2, dtype=bool)
         self._send = Call(
             send_and_count,
             *(links, departures_s, channel.tables, initial_transmitters(2)),
             *(allocate(QUEUED_MESSAGE, 8), allocate(LINK, 1, 2), self._statistics),
-            *(np.array([True, False]), np.zeros(2, dtype=bool), self._sent_s),
-            *(allocate(MESSAGE, 2), self._counts),
+            *(senders, np.zeros(2, dtype=bool), self._sent_s, allocate(MESSAGE, 2), self._counts),
         )
-        self._send.bind()
+        self._send(0.0)  # compiles it, and sends nothing
+        senders[0] = True
 
     def send(self, now_s: float, size_bytes: int | None = None) -> int:
         """Send the next packet, and return its PacketOutcome.
