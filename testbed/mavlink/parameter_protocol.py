@@ -32,10 +32,11 @@ class ParameterProtocol:
 
     def poll(self) -> list[OutgoingMessage]:
         """Return the next values of the list that is being sent."""
-        if self._next is None or not self._context.radio.takes_lists(self._context.wall_s):
+        if self._next is None:
             return []
         values = self._context.parameters()
-        stop = min(self._next + BATCH, len(values))
+        room = self._context.radio.list_room(BATCH, self._context.wall_s)
+        stop = min(self._next + room, len(values))
         names = list(values)[self._next : stop]
         replies = [_value(name, values, index) for index, name in enumerate(names, self._next)]
         self._next = stop if stop < len(values) else None
