@@ -112,7 +112,7 @@ class LinkEmulator:
         self._bytes_on_way = self._serial = 0
         self._late = Durations()
         self._fed_ns = [0, 0]  # when a line was last read
-        self._begin_ns = self._end_ns = time.monotonic_ns()
+        self._begin_ns = self._end_ns = 0  # of the first `run`
         self._used_s = 0.0
         load_messages()  # not when the first packet waits
 
@@ -125,6 +125,8 @@ class LinkEmulator:
     ) -> None:
         """Carry packets until a stop is requested or the time is over.
 
+        Times of the network count from the first call.
+
         Args:
             stop: called at least every 0.2 s; true ends it.
             duration_s: wall-clock time, s.
@@ -135,7 +137,8 @@ class LinkEmulator:
         """
         _wake_up_on_time()
         begun_s = time.process_time()
-        self._begin_ns = now_ns = time.monotonic_ns()
+        now_ns = time.monotonic_ns()
+        self._begin_ns = self._begin_ns or now_ns
         limit_ns = now_ns + duration_s * SECOND_NS
         report_ns, shown_ns = now_ns + REPORT_NS, now_ns + SECOND_NS
         try:
@@ -150,7 +153,7 @@ class LinkEmulator:
                     progress(self.progress())
         finally:
             self._end_ns = time.monotonic_ns()
-            self._used_s = time.process_time() - begun_s
+            self._used_s += time.process_time() - begun_s
 
     def progress(self) -> list[Progress]:
         """Return what both directions have carried."""
