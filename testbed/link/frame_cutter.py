@@ -40,7 +40,7 @@ def find_frames(data: bytes, *, complete: bool = True) -> tuple[list[Frame], int
     """Find the frames in received bytes.
 
     A frame has a right checksum. That of a message that the dialect lacks cannot be computed: it
-    is a frame if another one, or nothing, follows.
+    is a frame if another one, or nothing, follows, and no frame with a right checksum is in it.
 
     Args:
         data: received bytes.
@@ -134,20 +134,37 @@ def message_name(number: int) -> str:
 
 
 def _read_frame(data: bytes, at: int, end: int) -> Frame | None:
-    if data[at] == V2:
-        if data[at + 2] & ~_SIGNED:
-            return None
-        head, system = at + _HEAD_V2, data[at + 5]
-        number = data[at + 7] | data[at + 8] << 8 | data[at + 9] << 16
-    else:
-        head, system, number = at + _HEAD_V1, data[at + 3], data[at + 5]
+    """Return the frame between two places, or None if there is none."""
+    if data[at] == V2 and data[at + 2] & ~_SIGNED:
+        return None
+    head, system, number = _read_head(data, at)
     payload_end = head + data[at + 1]
     seed = load_messages().get(number)
     if seed is None:
-        if end < len(data) and data[end] not in _MARKERS:
+        followed = end == len(data) or data[end] in _MARKERS
+        if not followed or _has_known_frame(data, at + 1, end):
             return None
         return Frame(at, end, system, number, head, payload_end, known=False)
     given = data[payload_end] | data[payload_end + 1] << 8
     if checksum(data[at + 1 : payload_end] + seed) != given:
         return None
     return Frame(at, end, system, number, head, payload_end, known=True)
+
+
+def _read_head(data: bytes, at: int) -> tuple[int, int, int]:
+    """Return where the payload of a frame begins, its system and its message."""
+    if data[at] == V2:
+        number = data[at + 7] | data[at + 8] << 8 | data[at + 9] << 16
+        return at + _HEAD_V2, data[at + 5], number
+    return at + _HEAD_V1, data[at + 3], data[at + 5]
+
+
+def _has_known_frame(data: bytes, begin: int, end: int) -> bool:
+    """Return whether a frame with a right checksum lies between two places."""
+    for marker in _MARKER.finditer(data, begin, end):
+        at = marker.start()
+        last = at + frame_length(data, at)
+        if last <= end and _read_head(data, at)[2] in load_messages():
+            if _read_frame(data, at, last) is not None:
+                return True
+    return False

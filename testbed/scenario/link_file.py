@@ -131,7 +131,7 @@ def load_link_file(
     Args:
         path: of the file; None: an empty one.
         settings: texts `key.path=value`, applied in order.
-        unit: where neither file nor settings have one.
+        unit: where neither file nor settings have one, and no radio, which sends frames.
 
     Raises:
         ScenarioError: with every problem found, each with its place.
@@ -145,6 +145,7 @@ def load_link_file(
         tree = override(tree, parse_setting(text))
     assert isinstance(tree.value, dict)
     if "unit" not in tree.value:
-        place = FilePosition("the ends of the link")
+        place, radio = FilePosition("the ends of the link"), tree.value.get("radio")
+        unit = FRAMES if radio is not None and radio.value is not None else unit
         tree = replace(tree, value={**tree.value, "unit": Node(unit, place, place, tree.folder)})
     return resolve_references(validate(tree, LinkFile), tree)

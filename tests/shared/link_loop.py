@@ -10,7 +10,7 @@ from testbed.mavlink.codec import Codec
 from testbed.scenario.link_file import load_link_file
 
 LONGEST_S = 20.0
-AT_ONCE = 50  # packets in a socket's buffer
+AT_ONCE = 40  # packets in a socket's buffer
 
 
 def make_settings(*settings, seed=1, unit="datagrams"):
@@ -69,34 +69,47 @@ class LinkLoop:
             self._peer = peer if end else self._peer
             found.append(data)
 
-    def carry(self, packets, end=0, wait_s=0.0):
+    def carry(self, packets, end=0, wait_s=0.0, lossless=False):
         """Send packets from an end, some at a time, until none is on its way.
 
-        Return what arrives at the other end.
+        Args:
+            packets: of bytes.
+            end: that sends.
+            wait_s: further time of the loop.
+            lossless: every byte arrives, also where a datagram is no packet of its own.
+
+        Returns:
+            What arrives at the other end.
         """
         packets, arrived = list(packets), []
-        given = sum(each.offered for each in self.emulator.progress())
-        sent, stop_at = 0, time.monotonic() + LONGEST_S
-        quiet_at = 0.0
+        given, stop_at = self.emulator.progress()[end].offered, time.monotonic() + LONGEST_S
+        sent = carried_at = 0.0
+        sent, size = 0, sum(map(len, packets))
+
+        def is_taken(now):
+            if lossless:
+                return sum(map(len, arrived)) >= sum(map(len, packets[:sent]))
+            return now.offered - given >= sent
 
         def stop():
-            nonlocal sent, quiet_at
+            nonlocal sent, carried_at
             assert time.monotonic() < stop_at, "the link has not carried everything"
             arrived.extend(self.received(1 - end))
-            now = self.emulator.progress()
-            if sum(each.offered for each in now) - given >= sent or self.frames_differ:
+            now = self.emulator.progress()[end]
+            if sent < len(packets) and is_taken(now):
                 for data in packets[sent : sent + AT_ONCE]:
                     self.send(end, data)
-                    quiet_at = time.monotonic() + wait_s + 0.05
                 sent = min(sent + AT_ONCE, len(packets))
-            on_way = sum(each.on_way for each in now)
-            return sent == len(packets) and not on_way and time.monotonic() > quiet_at
+                return False
+            if sent < len(packets) or not is_taken(now) or now.on_way:
+                return False
+            carried_at = carried_at or time.monotonic()
+            return time.monotonic() >= carried_at + wait_s
 
         self.emulator.run(stop)
         arrived.extend(self.received(1 - end))
+        assert not lossless or sum(map(len, arrived)) == size
         return arrived
-
-    frames_differ = False  # a datagram is no packet of its own, so that packets cannot be counted
 
     def summary(self, sender="a", receiver="b"):
         return self.emulator.summary()["links"][sender][receiver]
