@@ -47,8 +47,12 @@ GROUPS = (
     ),
     Group(
         "links",
-        "Programs outside: ground stations and the real ArduPlane.",
-        {"mavlink": "guidance", "ardupilot": "autopilot mavlink"},
+        "Programs outside: ground stations, the real ArduPlane, and a bad link between any two.",
+        {
+            "mavlink": "guidance",
+            "ardupilot": "autopilot mavlink",
+            "link": "mavlink network scenario",
+        },
         "core scenario models",
     ),
     Group(

@@ -12,7 +12,7 @@ from waiting import TIMEOUT_S
 
 PARTS = (
     *("formation", "atmosphere", "network", "mavlink", "autopilot", "sensors", "compiled"),
-    *("flight_logs", "linear", "studies", "golden"),
+    *("link", "flight_logs", "linear", "studies", "golden"),
 )
 # Packages whose modules are imported: the part, and those that its README describes with it.
 TOGETHER = {"compiled": ("compiled", "vehicle", "airframes")}

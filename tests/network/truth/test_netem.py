@@ -6,11 +6,14 @@ pairs of samples in a row differ at 1 %: by chance one claim in ten thousand is.
 """
 
 import functools
+import json
 import os
+import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
+from link_loop import LinkLoop, make_settings
 from netem_namespaces import HEADERS, netem, why_not
 from reference.channel_simulation import transmit
 from scipy import stats
@@ -142,6 +145,41 @@ def test_loss_rates_and_runs_equal_the_kernels(options):
     def chance(seed):
         theirs = from_netem(options, payload=payload).copies
         return chance_of_likes(behaviour(our_copies(FATES[options], seed)), behaviour(theirs))
+
+    agrees(chance)
+
+
+NUMBER = struct.Struct("<q")
+
+
+def through_sockets(knobs, packets, seed):
+    """Numbers of the packets that `testbed link` delivers between two programs, in their order."""
+    settings = {"arithmetic": "netem", **knobs}
+    given = [f"network.{key}={json.dumps(value)}" for key, value in settings.items()]
+    link = make_settings("ends=[leader, uav1]", *given, seed=seed)
+    with LinkLoop(link) as loop:
+        arrived = loop.carry(map(NUMBER.pack, range(packets)))
+        assert loop.emulator.summary()["emulator"]["unread"] == 0
+    return np.array([NUMBER.unpack(each)[0] for each in arrived], dtype=int)
+
+
+def test_link_between_programs_does_as_the_channel():
+    """Which the other tests compare with the kernel: the same packets lost, and come twice."""
+    knobs = {"duplicate": 0.2, "loss": GEMODEL, "corrupt": {"probability": 0.2}}
+    found = np.bincount(through_sockets(knobs, 600, 3), minlength=600)
+    channel = ours(knobs, packets=600, seed=3)
+    np.testing.assert_array_equal(found, channel.copies[:, 0, 0])
+
+
+@with_netem
+@pytest.mark.parametrize("options", ["loss gemodel 5% 30% 90% 2%", "duplicate 20% loss 30%"])
+def test_link_between_programs_loses_as_the_kernel(options):
+    """Both are live: sockets through `testbed link`, and through the kernel's netem."""
+
+    def chance(seed):
+        found = through_sockets(FATES[options], PACKETS, seed)
+        mine = np.bincount(found, minlength=PACKETS)
+        return chance_of_likes(behaviour(mine), behaviour(from_netem(options).copies))
 
     agrees(chance)
 
