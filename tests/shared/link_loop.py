@@ -96,7 +96,7 @@ class LinkLoop:
             assert time.monotonic() < stop_at, "the link has not carried everything"
             arrived.extend(self.received(1 - end))
             now = self.emulator.progress()[end]
-            if sent < len(packets) and is_taken(now):
+            if sent < len(packets) and is_taken(now) and now.on_way <= AT_ONCE:
                 for data in packets[sent : sent + AT_ONCE]:
                     self.send(end, data)
                 sent = min(sent + AT_ONCE, len(packets))

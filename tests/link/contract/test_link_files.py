@@ -1,7 +1,10 @@
 """The file of a link has the checks of a scenario's network, and says what to write instead."""
 
+import os
+
 import pytest
 
+import testbed
 from testbed.link.link_settings import settings_from_file, settings_from_scenario
 from testbed.network.single_link import SingleLink
 from testbed.probes.channel_probe import probe_channel
@@ -103,3 +106,19 @@ def test_a_link_of_a_scenario_is_that_of_a_run(between):
     for sent_s in probe.messages.sent_s[:, row].tolist():
         other.send(sent_s, scenario.network.message_bytes)
     assert other.summary()["delay_s"] != own["delay_s"]
+
+
+@pytest.mark.skipif("TESTBED_LINK_PACKETS" not in os.environ, reason="TESTBED_LINK_PACKETS=10000")
+def test_a_link_is_that_of_a_whole_flight():
+    """100 s of Simulation 3: 2,500 packets, against the metrics of the run."""
+    scenario = load_scenario("simulation-3", SETTINGS)
+    run = testbed.run(scenario, duration_s=100.0, write=False)
+    own = run.metrics["network"]["links"]["leader"]["uav1"]
+    settings = settings_from_scenario(scenario, ("leader", "uav1"))
+    link = SingleLink(settings.network, "leader", "uav1", settings.seed)
+    for k in range(own["sent"]):
+        link.send(0.04 * k, scenario.network.message_bytes)
+    found = link.summary()
+    for key in ("sent", "delivered", "lost", "duplicated", "bursts", "delay_s"):
+        assert found[key] == own[key], key
+    assert own["sent"] >= 2500 and own["delay_s"]["max"] > 0.1
