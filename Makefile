@@ -77,7 +77,8 @@ check-all: $(STAMP) $(CLIENTS_STAMP)
 
 # Cost of a flight relative to bare JSBSim, by size of the fleet (ARGS="--json FILE --into
 # docs/speed.md" writes it); of coherent turbulence and of sensor errors; of the network of 100 aircraft;
-# of a live view; of four ArduPlanes; of stepping from Python; and the time to start.
+# of a live view; of four ArduPlanes; of stepping from Python; how late `testbed link` delivers; and the
+# time to start.
 bench: $(STAMP)
 	@$(BIN)/python benchmarks/speed.py $(ARGS)
 	@$(BIN)/python benchmarks/scenario_cost.py --set air.turbulence.model=coherent
@@ -86,6 +87,7 @@ bench: $(STAMP)
 	@$(BIN)/python benchmarks/view_cost.py
 	@$(BIN)/python benchmarks/arduplane.py
 	@$(BIN)/python benchmarks/stepping.py
+	@$(BIN)/python benchmarks/link.py
 	@$(BIN)/python benchmarks/startup.py
 
 include paper/targets.mk

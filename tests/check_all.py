@@ -174,6 +174,13 @@ PARTS = (
         parallel=False,
     ),
     Part(
+        "a link between programs: packets as in the channel and in a flight, noise, ground stations",
+        "10,000 packets",
+        "TESTBED_LINK_PACKETS=10000 TESTBED_LINK_NOISE=10000 TESTBED_BAD_LINKS=1 pytest tests/link "
+        "tests/clients/test_bad_link.py",
+        parallel=False,
+    ),
+    Part(
         "bounds of the golden scenarios, pages of the paper, saved and restored flights",
         "whole flights",
         "TESTBED_WHOLE=1 pytest tests/whole/bounds paper/tests "

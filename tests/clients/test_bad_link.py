@@ -91,7 +91,7 @@ def parameters_by_mavproxy(folder, kind, *options):
         return int(re.search(r"Received (\d+) parameters", ground.output)[1]), seconds, link.stop()
 
 
-def test_mavproxy_reads_all_parameters_by_a_serial_radio(tmp_path, capsys):
+def test_mavproxy_reads_parameters_by_a_serial_radio(tmp_path, capsys):
     """And what was recorded at its end of the radio is a flight log."""
     count, seconds, link = parameters_by_mavproxy(tmp_path / "it", "pty", "--network", SIK)
     sent, lost = lost_of(link)

@@ -144,7 +144,7 @@ def test_loss_follows_the_distance_of_the_positions():
         assert len(loop.carry([attitude(6)])) == 1
 
 
-def test_an_end_without_positions_stays_where_the_file_says():
+def test_an_end_may_stay_where_the_file_says():
     place = "positions={b: {latitude_deg: 38.0, longitude_deg: 0.0, height_m: 100}}"
     curve = "network.range_loss=[[1000, 0], [1001, 1]]"
     with LinkLoop(make_settings(place, curve, unit="frames")) as loop:

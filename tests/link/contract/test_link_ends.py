@@ -79,7 +79,7 @@ def test_a_pseudo_terminal_carries_all_bytes_both_ways(tmp_path):
     assert not path.is_symlink()
 
 
-def test_a_program_that_does_not_read_loses_whole_packets(tmp_path):
+def test_a_program_that_is_slow_loses_whole_packets(tmp_path):
     end = open_end(parse_end("pty:"))
     try:
         for _ in range(1000):

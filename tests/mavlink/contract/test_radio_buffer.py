@@ -52,7 +52,7 @@ def test_reports_slow_all_messages_but_the_heartbeat():
     assert rates(client, 600) == pytest.approx(before, abs=2)
 
 
-def test_lockstep_state_is_sent_with_every_sample_all_the_same():
+def test_lockstep_state_is_sent_with_every_sample():
     """A run that waits for answers must not wait for what a radio has slowed."""
     client = VehicleClient(RecordingControl(lockstep=True))
     for _ in range(40):
