@@ -174,7 +174,7 @@ PARTS = (
         parallel=False,
     ),
     Part(
-        "a link between programs: packets as in the channel and in a flight, noise, ground stations",
+        "a link between programs: packets as in a channel and a flight, noise, ground stations",
         "10,000 packets",
         "TESTBED_LINK_PACKETS=10000 TESTBED_LINK_NOISE=10000 TESTBED_BAD_LINKS=1 pytest tests/link "
         "tests/clients/test_bad_link.py",

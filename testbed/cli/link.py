@@ -347,7 +347,7 @@ def _finish(
         )
     for key, text in (
         ("unread", "came faster than they were read"),
-        ("not_sent", "were not taken by the other end"),
+        ("not_sent", "had no program to take them at the other end"),
         ("overflow", "were too many on their way"),
     ):
         if found[key]:

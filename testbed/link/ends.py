@@ -135,11 +135,12 @@ class UdpEnd:
             InputError: the address cannot be used.
         """
         self._endpoint = Endpoint(address, time.monotonic, stamped=True)
+        self._without_peer = 0
 
     @property
     def dropped(self) -> int:
-        """Packets that could not be sent."""
-        return self._endpoint.dropped
+        """Packets that could not be sent, also as no program has sent anything yet."""
+        return self._endpoint.dropped + self._without_peer
 
     @property
     def unread(self) -> int:
@@ -158,6 +159,7 @@ class UdpEnd:
 
     def send(self, data: bytes) -> None:
         """Send a datagram."""
+        self._without_peer += not self._endpoint.has_peers
         self._endpoint.send(data)
 
     def flush(self) -> None:

@@ -228,6 +228,11 @@ class Endpoint:
                     (self.unread,) = _COUNT.unpack(content)
             yield peer, bytes(self._buffer[:size]), time_ns or time.time_ns()
 
+    @property
+    def has_peers(self) -> bool:
+        """Whether there is one to send to, active or not."""
+        return self._fixed or bool(self._peers)
+
     def add_peer(self, peer: Peer) -> None:
         """Send to this peer too from now on, unless there are `MAX_PEERS` active ones."""
         if self._fixed:

@@ -174,6 +174,27 @@ def test_no_radio_reports_without_mavlink():
         assert loop.received(0) == []
 
 
+def test_packets_lost_unasked_are_counted():
+    """By the system, before they are read, and at a port that no program has sent to."""
+    with LinkLoop(make_settings()) as loop:
+        listening = loop.ends[0]._endpoint._socket
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 20_000)
+        for number in range(500):
+            loop.a.send(attitude(number))
+        found = loop.emulator.summary
+        loop.emulator.run(lambda: loop.received(1) == [] and loop.emulator.progress()[0].offered)
+        loop.carry([attitude(0)])
+        assert found()["emulator"]["unread"] == 501 - loop.emulator.progress()[0].offered > 0
+        assert found()["emulator"]["not_sent"] == 0
+    settings = make_settings()
+    with LinkLoop(settings) as loop, LinkLoop(settings) as other:
+        loop.emulator._ends = other.ends[0], loop.ends[0]  # both listen
+        loop.b.connect(("127.0.0.1", other._here))
+        loop.b.send(attitude(1))
+        loop.emulator.run(lambda: loop.emulator.progress()[0].offered)
+        assert loop.emulator.summary()["emulator"]["not_sent"] == 1
+
+
 def test_a_program_that_is_gone_stops_nothing():
     """A port without a program, before and after: packets are dropped, and the link goes on."""
     with LinkLoop(make_settings()) as loop:

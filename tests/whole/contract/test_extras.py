@@ -51,6 +51,7 @@ NEEDS = {
     "sweep radio-and-wind": "study",
     "tune x8-middle-loop": "study",
     "run simulation-3 --quiet --out other --mavlink 14777": "mavlink",
+    "link pty: pty: --duration 1": "mavlink",
     "import flight.ulg --out flight.csv": "px4",
     "sweep radio-and-wind --backend dask --scheduler tcp://127.0.0.1:1": "study",
 }
