@@ -5,8 +5,9 @@ from __future__ import annotations
 import gc
 import math
 import stat
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -287,27 +288,40 @@ def _begin_lines(
 def _live_line(
     settings: LinkSettings, *, hidden: bool
 ) -> Iterator[Callable[[Sequence[Progress]], None] | None]:
-    """Show in a terminal what passes, second by second."""
-    from testbed.cli.progress import activity
+    """Show in a terminal what passes, second by second.
 
-    if hidden:
+    The loop writes the line itself: a thread that draws would delay packets.
+    """
+    console = message_console()
+    if hidden or not console.is_terminal:
         yield None
         return
-    with activity("link") as show:
-        last = [0, 0]
+    seconds, last = 0, [0, 0]
 
-        def update(both: Sequence[Progress]) -> None:
-            parts = []
-            for end, now in enumerate(both):
-                share = f"{100 * now.lost / now.offered:.1f} % lost" if now.offered else "nothing"
-                parts.append(
-                    f"{_arrow(settings, end)} {now.offered - last[end]:,}/s, {share}, "
-                    f"{now.on_way:,} on the way"
-                )
-                last[end] = now.offered
-            show(" · ".join(parts))
+    def update(both: Sequence[Progress]) -> None:
+        nonlocal seconds
+        seconds += 1
+        parts = [f"{seconds} s"]
+        for end, now in enumerate(both):
+            share = f"{100 * now.lost / now.offered:.1f} % lost, " if now.offered else ""
+            parts.append(
+                f"{_arrow(settings, end)} {now.offered - last[end]:,}/s, {share}"
+                f"{now.on_way:,} on the way"
+            )
+            last[end] = now.offered
+        _write_over(" · ".join(parts)[: console.width - 1])
 
+    try:
         yield update
+    finally:
+        _write_over("")
+
+
+def _write_over(text: str) -> None:
+    """Write a line of a terminal over the one before."""
+    with suppress(OSError, ValueError):  # it is closed
+        sys.stderr.write(f"\r\x1b[2K{text}")
+        sys.stderr.flush()
 
 
 def _arrow(settings: LinkSettings, end: int) -> str:
