@@ -144,12 +144,13 @@ def link_command(
     What passed is printed at the end by direction, system and message; --json writes all of it.
     """
     from testbed.link.emulator import LinkEmulator
-    from testbed.link.ends import open_end, parse_end
+    from testbed.link.ends import check_apart, open_end, parse_end
     from testbed.mavlink.codec import load_dialect
     from testbed.runs.stop_request import stop_on_signals
 
     load_dialect()
     addresses = parse_end(a), parse_end(b)
+    check_apart(*addresses)
     streams = addresses[0].is_stream, addresses[1].is_stream
     duration_s = math.inf if duration is None else read_time("--duration", duration)
     if network is not None and scenario is not None:

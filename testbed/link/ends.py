@@ -85,6 +85,24 @@ def parse_end(text: str) -> EndAddress:
     return EndAddress("udp", udp=address)
 
 
+def check_apart(one: EndAddress, other: EndAddress) -> None:
+    """Check that an end does not send to the port at which the other one listens.
+
+    Raises:
+        InputError: it does, so that packets would go round for ever.
+    """
+    if one.udp is None or other.udp is None or one.udp.kind == other.udp.kind:
+        return
+    listening = one.udp if one.udp.kind == "udpin" else other.udp
+    sending = other.udp if listening is one.udp else one.udp
+    same = listening.host in (sending.host, "0.0.0.0") or (listening.loopback and sending.loopback)
+    if same and listening.port == sending.port:
+        raise InputError(
+            f"{sending}: is the port at which the other end listens, so that packets would go "
+            "round for ever; write the port of a program"
+        )
+
+
 class End(Protocol):
     """An open end."""
 

@@ -113,25 +113,29 @@ def test_mavproxy_reads_parameters_by_a_serial_radio(tmp_path, capsys):
     assert len((tmp_path / "it.csv").read_text().splitlines()) > 20
 
 
-def test_mavsdk_reads_all_parameters_by_a_radio(tmp_path, capsys):
-    vehicle, station = free_port(), free_port()
+@pytest.mark.parametrize("kind", ["udp", pytest.param("pty", marks=with_all)])
+def test_mavsdk_reads_all_parameters_by_a_radio(kind, tmp_path, capsys):
+    vehicle, station, device = free_port(), free_port(), tmp_path / "radio"
     python = clients() / "python"
     script = __file__.replace("test_bad_link", "read_with_mavsdk")
-    ends = f"udpout:127.0.0.1:{station}", f"udpin:127.0.0.1:{vehicle}"
+    a, url = f"udpout:127.0.0.1:{station}", f"udpin://127.0.0.1:{station}"
+    if kind == "pty":
+        a, url = f"pty:{device}", f"serial://{device}:57600"
     with (
-        start_link(tmp_path / "link", *ends, "--network", SIK) as link,
+        start_link(tmp_path / "link", a, f"udpin:127.0.0.1:{vehicle}", "--network", SIK) as link,
         start_run(tmp_path / "flight", f"--mavlink=udpout:127.0.0.1:{vehicle}+3") as flight,
     ):
         until(lambda: "systems" in flight.output)
-        lines = run_client(flight, python, "-u", script, f"udpin://127.0.0.1:{station}")
+        lines = run_client(flight, python, "-u", script, url)
         summary = link.stop()
-    found = json.loads(lines.splitlines()[-1])
+    found = json.loads(next(each for each in lines.splitlines() if each.startswith("{")))
     sent, lost = lost_of(summary)
     with capsys.disabled():
         print(
-            f"\nMAVSDK, UDP, SiK: {found['count']} parameters in {found['seconds']:.1f} s; ", end=""
+            f"\nMAVSDK, {kind}, SiK: {found['count']} parameters in {found['seconds']:.1f} s;",
+            end="",
         )
-        print(f"{sent} frames, {lost}")
+        print(f" {sent} frames, {lost}")
     assert found["count"] == 76 and found["seconds"] < LONGEST_S
     assert lost["lost"] > 0
 

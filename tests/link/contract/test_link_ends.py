@@ -9,7 +9,7 @@ import tty
 import pytest
 
 from testbed.core.errors import ExternalProgramLost, InputError
-from testbed.link.ends import MAX_OUTPUT_BYTES, open_end, parse_end
+from testbed.link.ends import MAX_OUTPUT_BYTES, check_apart, open_end, parse_end
 
 
 @pytest.mark.parametrize(
@@ -47,6 +47,27 @@ def test_an_address_says_what_it_may_reach(text, stream, may_reach):
 def test_a_wrong_address_says_what_to_write(text, said):
     with pytest.raises(InputError, match=re.escape(said)):
         parse_end(text)
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "refused"),
+    [
+        ("udpin:127.0.0.1:5000", "udpout:127.0.0.1:5000", True),
+        ("udpout:localhost:5000", "udpin:127.0.0.1:5000", True),
+        ("udpin:0.0.0.0:5000", "udpout:10.1.2.3:5000", True),
+        ("udpin:127.0.0.1:5000", "udpout:127.0.0.1:5001", False),
+        ("udpin:127.0.0.1:5000", "udpout:10.1.2.3:5000", False),
+        ("udpout:127.0.0.1:5000", "udpout:127.0.0.1:5000", False),
+        ("udpin:127.0.0.1:5000", "pty:", False),
+    ],
+)
+def test_packets_that_would_go_round_are_refused(one, other, refused):
+    ends = parse_end(one), parse_end(other)
+    if refused:
+        with pytest.raises(InputError, match="go round for ever; write the port of a program"):
+            check_apart(*ends)
+    else:
+        check_apart(*ends)
 
 
 @pytest.mark.parametrize("device", ["nothing", "file", "fifo", "/dev/null"])
