@@ -1,5 +1,6 @@
 """Packets through sockets: those of the channel alone, in order, damaged, scripted, by distance."""
 
+import math
 import os
 import socket
 import time
@@ -150,6 +151,27 @@ def test_an_end_may_stay_where_the_file_says():
     with LinkLoop(make_settings(place, curve, unit="frames")) as loop:
         assert len(loop.carry([position(0.001, Codec(1, 1))])) == 1
         assert loop.carry([position(0.1, Codec(1, 1)), attitude(1)]) == []
+
+
+def banked(roll, codec):
+    rest = dict.fromkeys(("time_boot_ms", "pitch", "yaw", "rollspeed", "pitchspeed", "yawspeed"), 0)
+    return codec.pack("ATTITUDE", roll=roll, **rest)
+
+
+def test_an_airframe_is_in_the_way_by_its_attitude():
+    """The antenna is below: what flies above is heard upside down alone."""
+    above = "positions={b: {latitude_deg: 38.001, longitude_deg: 0.0, height_m: 600}}"
+    curve = "network.shadowing={loss: [[0, 0], [1, 1]]}"
+    codec = Codec(1, 1)
+    with LinkLoop(make_settings(above, curve, unit="frames")) as loop:
+        assert loop.carry([position(0.0, codec)]) == []
+        assert loop.carry([banked(0.5, codec)]) == [] != loop.carry([banked(math.pi, codec)])
+        assert len(loop.carry([b"upside down"])) == 1
+        assert loop.carry([banked(0.0, codec), b"level"]) == []
+        assert loop.carry([banked(math.nan, codec)]) == []  # no attitude
+    below = above.replace("600", "-400")  # whose antenna is below, too: it does not hear a
+    with LinkLoop(make_settings(below, curve, unit="frames")) as loop:
+        assert loop.carry([position(0.0, codec), banked(0.0, codec)]) == []
 
 
 RATE = ("radio=sik", "network.rate={bit_per_s: 8000, queue_packets: 40}")
