@@ -1,5 +1,6 @@
 """Ends of a link: addresses, serial lines and pseudo-terminals."""
 
+import errno
 import os
 import pty
 import re
@@ -147,3 +148,27 @@ def test_a_serial_device_that_is_unplugged_is_an_error():
     finally:
         end.close()
         os.close(theirs)
+
+
+@pytest.mark.parametrize("number", [errno.EIO, errno.ENXIO, errno.ENODEV])
+@pytest.mark.parametrize("call", ["read", "write"])
+def test_errors_of_a_device_that_is_gone_are_told(call, number, monkeypatch):
+    """Else the loop would turn without an end; that nothing is there now is no error."""
+    end = open_end(parse_end("pty:"))
+
+    def fail_with(reason):
+        def fail(*_):
+            raise OSError(reason, os.strerror(reason))
+
+        monkeypatch.setattr(f"testbed.link.ends.os.{call}", fail)
+
+    try:
+        fail_with(errno.EAGAIN)
+        end.send(b"a")
+        assert received(end) == b""
+        fail_with(number)
+        with pytest.raises(ExternalProgramLost, match="the device is gone: .*; connect it again"):
+            received(end) if call == "read" else end.send(b"b")
+    finally:
+        monkeypatch.undo()
+        end.close()
