@@ -6,7 +6,7 @@ exchanges nothing with other machines. On a machine that does other work the tim
 work, too: the load is printed.
 
 usage: make bench  (or: python benchmarks/link.py [--delays MS,...] [--rates HZ,...] [--seconds S]
-[--network KEY=VALUE ...] [--json FILE])
+[--json FILE])
 """
 
 from __future__ import annotations

@@ -1,10 +1,14 @@
 """The file of a link has the checks of a scenario's network, and says what to write instead."""
 
 import os
+import random
 
 import pytest
+from mutations import mutate
+from places import ROOT
 
 import testbed
+from testbed.core.errors import InputError
 from testbed.link.link_settings import settings_from_file, settings_from_scenario
 from testbed.network.single_link import SingleLink
 from testbed.probes.channel_probe import probe_channel
@@ -122,3 +126,35 @@ def test_a_link_is_that_of_a_whole_flight():
     for key in ("sent", "delivered", "lost", "duplicated", "bursts", "delay_s"):
         assert found[key] == own[key], key
     assert own["sent"] >= 2500 and own["delay_s"]["max"] > 0.1
+
+
+MUTATIONS = int(os.environ.get("TESTBED_LINK_NOISE", "300"))
+
+
+def test_a_mutated_file_is_used_or_is_one_error(tmp_path):
+    """No other exception, and every accepted link carries packets."""
+    rng, file = random.Random(5), tmp_path / "radio.yaml"
+    whole = (ROOT / "examples" / "sik-57600.yaml").read_bytes() + MORE
+    used = 0
+    for _ in range(MUTATIONS):
+        file.write_bytes(mutate(whole, ".yaml", rng)[0])
+        try:
+            settings = settings_from_file(load_link_file(file, unit="frames"))
+            links = [
+                SingleLink(settings.network, *names, settings.seed, in_order=settings.frames)
+                for names in (settings.names, settings.names[::-1])
+            ]
+        except InputError as error:
+            assert "radio.yaml" in str(error) or "delay_s" in str(error)
+            continue
+        used += 1
+        for link in links:
+            for k in range(4):
+                link.send(0.01 * k, 40)
+                assert not (link.arrivals_s < 0.01 * k).any()
+    assert 0.1 * MUTATIONS < used < 0.9 * MUTATIONS
+
+
+MORE = b"""ends: [a, b]
+positions: {a: {latitude_deg: 38.0, longitude_deg: 0.0, height_m: 300.0}}
+"""
