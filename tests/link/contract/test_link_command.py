@@ -60,6 +60,7 @@ def test_wrong_words_are_one_error_line(line, tmp_path):
     (tmp_path / "wrong.yaml").write_text("network:\n  los: 0.1\n")
     a, b = ends()
     words = line.replace("A", a).replace(" B", f" {b}").split()
+    words += [] if "--duration" in words else ["--duration", "1"]  # if it is not refused
     done = link(*words, "--quiet", cwd=tmp_path, code=2)
     lines = [each for each in done.stderr.splitlines() if not each.startswith("link:")]
     assert len(lines) == 1 and lines[0].startswith("error: ") and WRONG[line] in lines[0]

@@ -7,7 +7,7 @@ import time
 
 import numpy as np
 import pytest
-from link_loop import LinkLoop, attitude, make_settings
+from link_loop import LONGEST_S, LinkLoop, attitude, make_settings
 
 from testbed.link.emulator import RADIO_SYSTEM
 from testbed.mavlink.codec import Codec, decode
@@ -204,16 +204,17 @@ def test_packets_lost_unasked_are_counted():
         for number in range(500):
             loop.a.send(attitude(number))
         found = loop.emulator.summary
-        loop.emulator.run(lambda: loop.received(1) == [] and loop.emulator.progress()[0].offered)
+        offered = lambda: loop.emulator.progress()[0].offered  # noqa: E731
+        loop.emulator.run(lambda: loop.received(1) == [] and offered(), duration_s=LONGEST_S)
         loop.carry([attitude(0)])
-        assert found()["emulator"]["unread"] == 501 - loop.emulator.progress()[0].offered > 0
+        assert found()["emulator"]["unread"] == 501 - offered() > 0
         assert found()["emulator"]["not_sent"] == 0
     settings = make_settings()
     with LinkLoop(settings) as loop, LinkLoop(settings) as other:
         loop.emulator._ends = other.ends[0], loop.ends[0]  # both listen
         loop.b.connect(("127.0.0.1", other._here))
         loop.b.send(attitude(1))
-        loop.emulator.run(lambda: loop.emulator.progress()[0].offered)
+        loop.emulator.run(lambda: loop.emulator.progress()[0].offered, duration_s=LONGEST_S)
         assert loop.emulator.summary()["emulator"]["not_sent"] == 1
 
 
