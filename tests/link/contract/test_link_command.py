@@ -42,6 +42,8 @@ WRONG = {
     "A B --scenario simulation-3 --between uav1 uav1": "write two different aircraft",
     "A B --scenario simulation-3 --between uav1 uav2 --network wrong.yaml": "leave one of them out",
     "A B --scenario simulation-3 --between uav1 uav2 --radio sik": "there is no rate from uav1",
+    "A B --scenario simulation-3 --between uav1 uav2 --radio sik "
+    "--set network.links.uav1.uav2.rate.bit_per_s=57600": "there is no rate from uav2 to uav1",
     "A B --scenario telemetry-radio --between uav1 uav2 --set network.rate.bit_per_s=57600 "
     "--radio sik --unit datagrams": "--radio sik: sends frames, not datagrams",
     "A B --radio sik --unit datagrams --set network.rate.bit_per_s=1e5": "write unit: frames",

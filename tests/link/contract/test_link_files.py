@@ -34,6 +34,7 @@ WRONG = {
     "unit: frames\nnetwork: {delay_s: 0.1, reorder: 0.1}\n": ["2:34:", "frames stay in order"],
     "network: {corrupt: {probability: 0.1, bits: 2}}\n": ["write unit: frames"],
     "radio: sik\nunit: datagrams\n": ["1:8: radio: sends frames", "write unit: frames"],
+    "radio: sik\nnetwork: {links: {a: {b: {rate: {bit_per_s: 9600}}}}}\n": ["no rate from b to a"],
     "radio: sik\n": ["no rate from a to b"],
     "positions: {c: {latitude_deg: 1, longitude_deg: 1}}\n": ["positions.c: no end has this name"],
     "network: {jitter: {distribution: empirical, file: nowhere.csv}}\n": ["nowhere.csv"],
