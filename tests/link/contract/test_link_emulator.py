@@ -196,6 +196,27 @@ def test_no_radio_reports_without_mavlink():
         assert loop.received(0) == []
 
 
+def test_rates_and_delays_of_the_summary():
+    with LinkLoop(make_settings("network.delay_s=0.05", "network.drop=[3]")) as loop:
+        loop.carry(map(attitude, range(30)))
+        whole = loop.emulator.summary()
+    link, seconds = whole["links"]["a"]["b"], whole["duration_s"]
+    (kind,) = link["messages"]
+    assert 0.05 < seconds < LONGEST_S
+    assert link["rate_hz"] * seconds == kind["rate_hz"] * seconds == pytest.approx(30.0)
+    assert (kind["system"], kind["message"], kind["bytes"]) == (
+        1,
+        "ATTITUDE",
+        sum(len(attitude(k)) for k in range(30)),
+    )
+    assert (kind["offered"], kind["delivered"], kind["lost"]) == (30, 29, {"listed": 1})
+    for delay in (kind["delay_s"], link["delay_s"]):
+        assert delay["max"] == delay["p50"] == pytest.approx(0.05)
+    late = whole["emulator"]["late_s"]
+    assert 0.0 < late["p50"] <= late["p99"] <= late["max"] < LONGEST_S
+    assert 0.0 < whole["emulator"]["processor_share"] <= 1.0
+
+
 def test_packets_lost_unasked_are_counted():
     """By the system, before they are read, and at a port that no program has sent to."""
     with LinkLoop(make_settings()) as loop:
