@@ -168,6 +168,7 @@ class LinkEmulator:
             wait_ns = min(wait_ns, SILENCE_NS)
         full = [end for end in self._ends if end.has_output]
         ready, writable, _ = select.select(self._ends, full, [], max(wait_ns / SECOND_NS, 0.0))
+        self._deliver()  # what has arrived waits for nothing that has just been sent
         for end in writable:
             end.flush()
         for number in _ENDS:
