@@ -22,16 +22,17 @@ from testbed.scenario.validate import validate
 from testbed.scenario.yaml_io import read
 from testbed.tuning.tune_schema import MIN_GAINS, GainBounds
 
-Setting = Flag | Number | tuple[Number, ...]
+Setting = Flag | Number | Name | tuple[Number, ...]
 Settings = Mapping[str, Setting]
 # What an entry may set: what belongs to a law. All else is the task's.
 KEYS = re.compile(
-    r"controller\.(options|safety|estimators)\.[A-Za-z_][\w.]*"
+    r"controller\.(options|safety|estimators)\.[A-Za-z_][\w.]*|controller\.extrapolate_from"
     r"|formation\.(k|a|b|c|barrier\.nu|control_function\.(nu1|nu2|m))"
 )
 _FUNCTION = re.compile(r"[A-Za-z_]\w{0,63}", re.ASCII)
 _ALLOWED = (
-    "controller.options.…, controller.safety.…, controller.estimators.…, formation.k, a, b, c"
+    "controller.options.…, controller.safety.…, controller.estimators.…, "
+    "controller.extrapolate_from, formation.k, a, b, c"
 )
 ENTRIES = Path(__file__).parent / "entries"  # those that come with the testbed
 

@@ -29,7 +29,7 @@ def entry_file(folder, text):
     "key",
     [
         *("controller.options.gain", "controller.safety.margin_m", "formation.k"),
-        "controller.estimators.leader_acceleration",
+        *("controller.estimators.leader_acceleration", "controller.extrapolate_from"),
     ],
 )
 def test_keys_of_a_law_may_be_set(key):
