@@ -602,12 +602,13 @@ def _root(gramian: Array) -> Array:
 
 def _reached(a: Array, b: Array) -> BoolArray:
     """Return which states (n,) the inputs reach; of aᵀ and cᵀ, which reach the outputs."""
-    acts, reached = np.abs(a) > _NEGLIGIBLE, (np.abs(b) > _NEGLIGIBLE).any(axis=1)
+    acts: BoolArray = np.abs(a) > _NEGLIGIBLE
+    reached: BoolArray = np.asarray((np.abs(b) > _NEGLIGIBLE).any(axis=1))
     count = -1
     while count != int(np.count_nonzero(reached)):
         count = int(np.count_nonzero(reached))
-        reached = np.logical_or(reached, acts[:, reached].any(axis=1))
-    return np.asarray(reached)
+        reached |= acts[:, reached].any(axis=1)
+    return reached
 
 
 def _part_of(name: str) -> str:
