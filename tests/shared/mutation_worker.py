@@ -167,5 +167,9 @@ def main(name, folder):
         answers.write(json.dumps([outcome, text, way, file, took_s, memory]) + "\n")
 
 
-if __name__ == "__main__":
+def work():
     main(sys.argv[1], Path(sys.argv[2]).resolve())
+
+
+if __name__ == "__main__":
+    work()

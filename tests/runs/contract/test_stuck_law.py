@@ -2,14 +2,14 @@
 
 import os
 import signal
-import subprocess
 import sys
 import time
 import weakref
 from pathlib import Path
 
 import pytest
-from commands import ROOT, children, environment, run_command
+from commands import ROOT, call_command, children, environment
+from forked import Forked
 from waiting import TIMEOUT_S, until
 
 from testbed.cli.main import main
@@ -53,12 +53,8 @@ class Started:
     def __init__(self, *arguments, cwd):
         self.errors = cwd / f"errors-{time.monotonic_ns()}.txt"
         with self.errors.open("w") as errors:
-            self.process = subprocess.Popen(
-                [sys.executable, "-m", "testbed", *arguments],
-                cwd=cwd,
-                env=environment(200),
-                stdout=subprocess.DEVNULL,
-                stderr=errors,
+            self.process = Forked(
+                "testbed.cli.main:main", *arguments, cwd=cwd, env=environment(200), stderr=errors
             )
 
     def end(self, within_s):
@@ -66,7 +62,7 @@ class Started:
             return self.process.wait(within_s)
         finally:
             self.process.kill()
-            self.process.wait()
+            self.process.wait(TIMEOUT_S)
 
     @property
     def text(self):
@@ -96,57 +92,36 @@ def test_second_signal_ends_a_compiled_law(folder):
     assert code == 130, run.text
     assert "Traceback" not in run.text
     assert not list(folder.glob(".*.part"))
-    run_command("recover", out, cwd=folder, code=0, columns=200)
+    call_command("recover", out, cwd=folder, code=0, columns=200)
     assert read_log(out / "run.mcap").time_s[-1] >= 2.9  # as of a run that is killed
-
-
-CALL = """
-import sys, time
-import numpy as np
-from testbed.core.call_list import NOW, Call
-from testbed.core.compile import entry_of_user_code
-from testbed.core.interrupts import count_signals
-
-def rounds(x, now):
-    while now == 0.0:
-        x[0] += 1
-    return 0
-
-call = Call(entry_of_user_code(rounds, None), np.zeros(1), NOW)
-call(1.0)
-try:
-    with count_signals():
-        print("begun", flush=True)
-        {act}
-except KeyboardInterrupt:
-    sys.exit("handled")
-"""
 
 
 @pytest.mark.parametrize(
     ("act", "code", "texts"),
     [
-        ("call(0.0)", 130, [STUCK, "ended: compiled code did not return"]),
-        ("time.sleep(100.0)", 1, ["handled"]),  # controls: Python handles the first signal
-        ("[call(1.0) for _ in range(10**9)]", 1, ["handled"]),
+        ("stuck", 130, [STUCK, "ended: compiled code did not return"]),
+        ("waiting", 1, ["handled"]),  # controls: Python handles the first signal
+        ("calling", 1, ["handled"]),
     ],
     ids=["stuck", "waiting", "calling"],
 )
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signals_in_compiled_code(tmp_path, act, code, texts, number):
     """Of each command, also one that flies nothing."""
-    errors = tmp_path / "errors.txt"
-    with errors.open("w") as file:
-        process = subprocess.Popen(
-            [sys.executable, "-c", CALL.format(act=act)],
+    errors, output = tmp_path / "errors.txt", tmp_path / "output.txt"
+    with errors.open("w") as stderr, output.open("w") as stdout:
+        process = Forked(
+            "endless_call:work",
+            act,
+            cwd=tmp_path,
             env=environment(200),
-            stdout=subprocess.PIPE,
-            stderr=file,
+            stdout=stdout,
+            stderr=stderr,
         )
     try:
-        assert process.stdout.readline() == b"begun\n"
+        until(lambda: output.read_text() == "begun\n")
         begun_s = process_s(process.pid)
-        until(lambda: act.startswith("time") or process_s(process.pid) > begun_s + 0.2)
+        until(lambda: act == "waiting" or process_s(process.pid) > begun_s + 0.2)
         process.send_signal(number)
         until(lambda: texts[0] in errors.read_text() or process.poll() is not None)
         if code == 130:
@@ -154,8 +129,6 @@ def test_signals_in_compiled_code(tmp_path, act, code, texts, number):
         assert process.wait(ENDS_S) == code
     finally:
         process.kill()
-        process.wait()
-        process.stdout.close()
     lines = [each for each in errors.read_text().splitlines() if each]
     assert len(lines) == len(texts)
     assert all(text in line for text, line in zip(texts, lines, strict=True))

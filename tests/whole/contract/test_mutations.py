@@ -8,16 +8,16 @@ import json
 import os
 import random
 import selectors
-import subprocess
 import sys
 from collections import Counter
 from pathlib import Path
 
 import pytest
+from forked import Forked
 from mutation_kinds import KINDS
 from mutation_worker import SEED
 from mutations import mutate
-from places import SHARED
+from places import ROOT
 from waiting import TIMEOUT_S
 
 MUTATIONS = int(os.environ.get("TESTBED_MUTATIONS", "60"))
@@ -36,40 +36,46 @@ class Worker:
         self.count += 1
         folder = self.folder / str(self.count)
         folder.mkdir(parents=True)
-        command = [sys.executable, SHARED / "mutation_worker.py"]
-        with (folder / "errors").open("wb") as errors:
-            self.process = subprocess.Popen(
-                [*command, self.kind, folder],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
+        (theirs_in, to), (back, theirs_out) = os.pipe(), os.pipe()
+        self.to, self.back = os.fdopen(to, "w"), os.fdopen(back)
+        with (
+            (folder / "errors").open("wb") as errors,
+            os.fdopen(theirs_in) as stdin,
+            os.fdopen(theirs_out, "w") as stdout,
+        ):
+            self.process = Forked(
+                "mutation_worker:work",
+                *(self.kind, folder),
+                cwd=ROOT,
+                env=dict(os.environ),
+                stdin=stdin,
+                stdout=stdout,
                 stderr=errors,
-                text=True,
             )
         self.answers = selectors.DefaultSelector()
-        self.answers.register(self.process.stdout, selectors.EVENT_READ)
+        self.answers.register(self.back, selectors.EVENT_READ)
 
     def end(self):
         if self.process:
             self.answers.close()
             self.process.kill()
-            self.process.wait()
-            self.process.stdin.close()
-            self.process.stdout.close()
+            self.process.wait(TIMEOUT_S)
+            self.to.close()
+            self.back.close()
             self.process = None
 
     def ask(self, number):
         """Return outcome, text, mutation, file, time in s and peak memory in bytes."""
         if self.process is None:
             self.begin()
-        self.process.stdin.write(f"{number}\n")
-        self.process.stdin.flush()
+        print(number, file=self.to, flush=True)
         if not self.answers.select(TIMEOUT_S):
             self.end()
             return "fault", f"no answer after {TIMEOUT_S:g} s", "", "", TIMEOUT_S, 0
-        line = self.process.stdout.readline()
+        line = self.back.readline()
         if line:
             return json.loads(line)
-        code = self.process.wait()
+        code = self.process.wait(TIMEOUT_S)
         errors = (self.folder / str(self.count) / "errors").read_text(errors="replace")[-2000:]
         output = (self.folder / str(self.count) / "output").read_text(errors="replace")[-2000:]
         self.end()
