@@ -54,6 +54,7 @@ def serve(number):
 
 def _become(function, arguments, folder, variables, files):
     """Call a function, with exit code and error output of a Python process, and end."""
+    os.setsid()
     os.chdir(folder)
     os.environ.clear()
     os.environ.update(variables)
@@ -87,7 +88,7 @@ def _starter():
 
 
 class Forked:
-    """A process that calls a function; in part as `subprocess.Popen`.
+    """A process in a session of its own that calls a function; in part as `subprocess.Popen`.
 
     Attributes:
         pid: of the process.

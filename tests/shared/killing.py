@@ -13,9 +13,10 @@ from pathlib import Path
 
 import numpy as np
 from commands import environment
+from forked import Forked
 from process_time import last_s
 from record_flight import RECORDS
-from waiting import until
+from waiting import TIMEOUT_S, until
 
 MAX_MISSING_S = 0.5  # of the process's running time, whose samples are not in the log
 SECONDS = 100.0  # of the flights
@@ -149,14 +150,13 @@ def kill(starter, folder, moment):
 
 def kill_command(arguments, folder, begun, wait_s):
     """Start a command in a process of its own, and kill it some time after it has begun."""
-    with subprocess.Popen(
-        [sys.executable, "-P", "-m", "testbed", *map(str, arguments)],
-        cwd=folder, env=environment(100), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    ) as process:  # fmt: skip
+    process = Forked("testbed.cli.main:main", *arguments, cwd=folder, env=environment(100))
+    try:
         until(lambda: begun() or process.poll() is not None)
         time.sleep(wait_s)
+    finally:
         process.kill()
-    assert process.returncode in (0, -signal.SIGKILL)
+    assert process.wait(TIMEOUT_S) in (0, -signal.SIGKILL)
 
 
 @dataclass(frozen=True)

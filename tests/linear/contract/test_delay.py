@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 from commands import call_command, refuse_all
+from small_study import in_this_process
 
 from testbed.views.delay_figure import FollowerOffsets, delay_figure
 
@@ -12,9 +13,10 @@ from testbed.views.delay_figure import FollowerOffsets, delay_figure
 def test_delay_command_predicts(tmp_path):
     """Both origins of the extrapolation, for each follower; a figure where there is no flight."""
     words = ("delay", "simulation-2", "--delays", "0.1,0.4", "--bank", "20")
-    done = call_command(
-        *words, "--json", "offsets.json", "--plot", "f.svg", cwd=tmp_path, code=0, columns=80
-    )
+    with in_this_process():
+        done = call_command(
+            *words, "--json", "offsets.json", "--plot", "f.svg", cwd=tmp_path, code=0, columns=80
+        )
     assert "uav3" in done.stdout and max(map(len, done.stdout.splitlines())) <= 80
     found = json.loads((tmp_path / "offsets.json").read_text("utf-8"))["offsets"]
     origins = [(each["delay_s"], each["extrapolate_from"]) for each in found]

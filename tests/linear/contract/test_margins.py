@@ -415,9 +415,10 @@ def test_margins_that_are_not_predicted_are_no_numbers():
 def test_margins_command_predicts(tmp_path):
     """A table, a figure of the poles, and all poles as JSON; a chain bears every message delay."""
     words = ("margins", "simulation-2", "--bank", "0", "--jobs", "1")
-    done = call_command(
-        *words, "--json", "m.json", "--plot", "p.svg", cwd=tmp_path, code=0, columns=80
-    )
+    with in_this_process():
+        done = call_command(
+            *words, "--json", "m.json", "--plot", "p.svg", cwd=tmp_path, code=0, columns=80
+        )
     assert "stable at every message delay" in done.stdout
     assert (tmp_path / "p.svg").stat().st_size > 1000
     [straight] = json.loads((tmp_path / "m.json").read_text())["predicted"]
@@ -435,7 +436,8 @@ def test_margins_command_draws_a_loop(tmp_path, monkeypatch):
         "testbed.views.matplotlib_backend.save_figure", lambda grid, *_: grids.append(grid)
     )
     words = ("--bank", "0", "--jobs", "1", "--plot", "p.svg", "--figure", "root-locus")
-    call_command("margins", "simulation-2", *words, cwd=tmp_path, code=0, columns=80)
+    with in_this_process():
+        call_command("margins", "simulation-2", *words, cwd=tmp_path, code=0, columns=80)
     [[panel]] = grids[0].rows
     assert panel.title == "straight" and "roll command" in grids[0].subtitle
     labels = [line.label for line in panel.lines if line.label]

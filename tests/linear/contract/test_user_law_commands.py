@@ -38,7 +38,8 @@ def test_margins_name_the_memory_that_is_held(folder):
 def test_delay_of_a_law_is_flown(folder):
     """One row for each delay: the law receives messages as they are, and extrapolates them."""
     words = ("delay", "own.yaml", "--delays", "0.2", "--json", "d.json", "--plot", "d.svg")
-    done = call_command(*words, cwd=folder, code=0, columns=80)
+    with in_this_process():
+        done = call_command(*words, cwd=folder, code=0, columns=80)
     assert "flown, because the equilibrium of a law of your own is not known" in done.stdout
     [row] = json.loads((folder / "d.json").read_text("utf-8"))["offsets"]
     assert row["extrapolate_from"] == "law" and row["predicted"] is None
@@ -61,7 +62,8 @@ def test_law_that_others_inform_is_refused(tmp_path):
     """Its messages carry numbers that the linear model does not have; flights measure it."""
     words = ("margins", EXAMPLES / "relayed-leader.yaml", "--bank", "0", "--set")
     perfect = "network.links={leader: {uav3: {loss: 0}}}"
-    done = call_command(*words, perfect, cwd=tmp_path, code=2, columns=400)
+    with in_this_process():
+        done = call_command(*words, perfect, cwd=tmp_path, code=2, columns=400)
     assert "the law reads numbers that the laws of others send" in done.stderr
     assert "--method flown" in done.stderr
 
@@ -77,7 +79,8 @@ def test_wrapped_built_in_law_has_its_margins(tmp_path):
         (EXAMPLES / "integral-kernel.yaml", ("--set", "controller.options.rate_per_s=0")),
     ):
         words = ("margins", scenario, "--bank", "0", "--jobs", "1", "--json", "m.json", *more)
-        call_command(*words, cwd=tmp_path, code=0, columns=80)
+        with in_this_process():
+            call_command(*words, cwd=tmp_path, code=0, columns=80)
         [straight] = json.loads((tmp_path / "m.json").read_text("utf-8"))["predicted"]
         assert not straight["problem"]
         commands = [each["commands"] for each in straight["followers"]]

@@ -3,12 +3,12 @@
 import functools
 import os
 import signal
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 from commands import children, environment
+from forked import Forked
 from run_flight import Collector, fingerprint
 from waiting import TIMEOUT_S, until
 
@@ -92,31 +92,26 @@ def flight(tmp_path):
     """Yield a run of two processes in flight, the id of the other process, and the log."""
     command = ["run", "vee-30", "--set", "fleet.count=6", "--set", "scenario.engine=jsbsim"]
     command += ["--processes", "2", "--out", "run"]
-    with subprocess.Popen(
-        [sys.executable, "-m", "testbed", *command],
-        cwd=tmp_path,
-        env=environment(120),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    ) as process:
-        try:
-            log = tmp_path / "run" / "run.mcap"
-            # more than the header: the check of the aircraft in a child process has ended
-            until(lambda: log.exists() and log.stat().st_size > 100_000)
-            (other,) = children(process.pid)
-            yield process, other, log
-        finally:
-            if process.poll() is None:
-                os.killpg(process.pid, signal.SIGKILL)
+    with (tmp_path / "errors").open("w") as errors:
+        process = Forked(
+            "testbed.cli.main:main", *command, cwd=tmp_path, env=environment(120), stderr=errors
+        )
+    try:
+        log = tmp_path / "run" / "run.mcap"
+        # more than the header: the check of the aircraft in a child process has ended
+        until(lambda: log.exists() and log.stat().st_size > 100_000)
+        (other,) = children(process.pid)
+        yield process, other, log
+    finally:
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
 
 
 def test_killed_process_ends_the_run_with_its_reason(flight):
     process, other, path = flight
     os.kill(other, signal.SIGKILL)
-    _, output = process.communicate(timeout=TIMEOUT_S)
-    assert process.returncode == 5
+    assert process.wait(TIMEOUT_S) == 5
+    output = (path.parents[1] / "errors").read_text()
     assert "a process that steps aircraft (4, 5, 6 of the flight models, from 0)" in output
     assert "ended with -9" in output and "--processes 1" in output
     assert "Traceback" not in output
@@ -128,8 +123,7 @@ def test_killed_process_ends_the_run_with_its_reason(flight):
 def test_signal_to_all_processes_ends_the_run(flight, number):
     process, other, path = flight
     os.killpg(process.pid, number)
-    process.communicate(timeout=TIMEOUT_S)
-    assert process.returncode == 130
+    assert process.wait(TIMEOUT_S) == 130
     assert read_log(path).finished
     assert not Path(f"/proc/{other}").exists()
 
@@ -137,6 +131,5 @@ def test_signal_to_all_processes_ends_the_run(flight, number):
 def test_process_without_its_parent_ends(flight):
     process, other, _ = flight
     process.kill()
-    process.wait(timeout=TIMEOUT_S)
+    assert process.wait(TIMEOUT_S) == -signal.SIGKILL
     until(lambda: not Path(f"/proc/{other}").exists())
-    assert process.returncode == -signal.SIGKILL
