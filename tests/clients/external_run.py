@@ -2,13 +2,15 @@
 
 import json
 import os
+import signal
 import socket
 import subprocess
-import sys
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from commands import environment
+from forked import Forked
 from waiting import TIMEOUT_S, until
 
 from testbed.logs.read import read_log, samples
@@ -44,7 +46,7 @@ class Flight:
 
     def stop(self):
         """Interrupt it, and return its metrics."""
-        self.process.terminate()
+        self.process.send_signal(signal.SIGTERM)
         return self.end(130)
 
     def end(self, code=0):
@@ -66,22 +68,20 @@ def start_run(folder, *arguments, scenario="simulation-3"):
     """Start `testbed run`; the process ends with the block at the latest."""
     folder.mkdir(exist_ok=True)
     out, output_file = folder / "run", folder / "output.txt"
-    command = [sys.executable, "-m", "testbed", "run", scenario, "--quiet", "--out", out]
-    command += arguments
+    command = ["run", scenario, "--quiet", "--out", out, *arguments]
     with output_file.open("w") as file:
-        process = subprocess.Popen(
-            list(map(str, command)),
+        process = Forked(
+            *("testbed.cli.main:main", *command),
             cwd=folder,
-            env={**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "120"},
+            env=environment(120),
             stdout=file,
-            stderr=subprocess.STDOUT,
+            stderr=file,
         )
         try:
             yield Flight(process, out, output_file)
         finally:
-            if process.poll() is None:
-                process.kill()
-            process.wait()
+            process.kill()
+            process.wait(TIMEOUT_S)
 
 
 def run_client(flight, *command):

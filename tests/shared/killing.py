@@ -4,17 +4,19 @@ import json
 import os
 import signal
 import struct
-import subprocess
 import sys
 import time
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 from commands import environment
 from forked import Forked
-from process_time import last_s
+from places import ROOT
+from process_time import ProcessTime, last_s
 from record_flight import RECORDS
 from waiting import TIMEOUT_S, until
 
@@ -23,59 +25,71 @@ SECONDS = 100.0  # of the flights
 SCENARIO = "simulation-3"
 _NOTE = struct.Struct("dd")
 
-# Forks a `testbed run` for each line of its input; prints its process id, and its exit code. After
-# each sample a run writes the running time and the simulated time to a file, without buffers.
-_FORKING = """
-import json, os, struct, sys
-import testbed.runs.run
-from process_time import ProcessTime
-from testbed.cli.main import main
-from testbed.scenario import load_scenario, set_duration
-from testbed.runs.run import run
 
-run(set_duration(load_scenario("simulation-3"), 0.1), write=False)  # loads what flights need
+def work():
+    """Fork a `testbed run` for each line of input; print its process id, and its exit code.
+
+    After each sample a run writes the running time and the simulated time to a file, without
+    buffers.
+    """
+    from testbed.cli.main import main
+    from testbed.runs import run as runs
+
+    run = runs.run
+    print("ready", flush=True)
+    for line in sys.stdin:
+        path, clock, *arguments = json.loads(line)
+        child = os.fork()
+        if not child:
+            notes = Notes(path, ProcessTime(clock).__enter__())
+            runs.run = partial(_run_noting, run, notes)
+            sys.argv = ["testbed", *arguments]
+            main()
+            sys.exit()
+        print(child, flush=True)
+        print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
+
+
+def _run_noting(run, notes, *arguments, observers=(), **named):
+    return run(*arguments, observers=[*observers, notes], **named)
+
 
 class Notes:
+    """Observer that writes times to a file."""
+
     zero_copy = True
+
     def __init__(self, path, running):
         self.file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
         self.running = running
-    def begin(self, info): pass
-    def observe(self, frame):
-        os.write(self.file, struct.pack("dd", self.running.now_s, frame.time_s))
-    def end(self, summary, events): pass
 
-print("ready", flush=True)
-for line in sys.stdin:
-    path, clock, *arguments = json.loads(line)
-    child = os.fork()
-    if not child:
-        notes = Notes(path, ProcessTime(clock).__enter__())
-        testbed.runs.run.run = lambda *a, observers=(), **k: run(
-            *a, observers=[*observers, notes], **k
-        )
-        sys.argv = ["testbed", *arguments]
-        main()
-        sys.exit()
-    print(child, flush=True)
-    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
-"""
+    def begin(self, info):
+        pass
+
+    def observe(self, frame):
+        os.write(self.file, _NOTE.pack(self.running.now_s, frame.time_s))
+
+    def end(self, summary, events):
+        pass
 
 
 @contextmanager
 def process_starter():
-    """Process that has imported everything and starts runs."""
-    with subprocess.Popen(
-        [sys.executable, "-c", _FORKING],
-        env=environment(100, Path(__file__).parent),
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    ) as process:
+    """Process that starts runs, with its input and its output."""
+    (theirs_in, to), (back, theirs_out) = os.pipe(), os.pipe()
+    with os.fdopen(to, "w") as stdin, os.fdopen(back) as stdout:
+        with os.fdopen(theirs_in) as input, os.fdopen(theirs_out, "w") as output:
+            process = Forked(
+                "killing:work",
+                cwd=ROOT,
+                env=environment(100),
+                stdin=input,
+                stdout=output,
+                stderr=sys.__stderr__,
+            )
         try:
-            assert process.stdout.readline() == "ready\n"
-            yield process
+            assert stdout.readline() == "ready\n"
+            yield SimpleNamespace(stdin=stdin, stdout=stdout)
         finally:
             os.killpg(process.pid, signal.SIGKILL)
 

@@ -6,45 +6,44 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 from dataclasses import dataclass
 
 import pytest
 from commands import environment
+from forked import Forked
+from places import SHARED
 from waiting import TIMEOUT_S
 
-# The commands of a group start when a pipe is closed.
-_FORKING = """
-import json, os, sys
-import testbed
-from testbed.cli.main import main
-from testbed.scenario import load_scenario, set_duration
 
-testbed.run(set_duration(load_scenario("simulation-3"), 0.1), write=False)  # loads libraries
-codes = []
-for number, group in enumerate(json.loads(sys.argv[1])):
-    ready, begin = os.pipe()
-    children = []
-    for k, (program, *arguments) in enumerate(group):
-        children.append(os.fork())
-        if not children[-1]:
-            for stream in (1, 2):
-                output = os.open(f"output-{number}-{k}-{stream}", os.O_WRONLY | os.O_CREAT)
-                os.dup2(output, stream)
-            os.close(begin)
-            os.read(ready, 1)
-            if program == "cd":
-                folder, program, *arguments = arguments
-                os.chdir(folder)
-            if program != "testbed":
-                os.execvp(program, [program, *arguments])
-            sys.argv = [program, *arguments]
-            main()
-            sys.exit()
-    os.close(begin)
-    os.close(ready)
-    codes.append([os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) for child in children])
-print(json.dumps(codes))
-"""
+def work():
+    """Run the groups of commands of this process's argument, and print their exit codes."""
+    from testbed.cli.main import main
+
+    codes = []
+    for number, group in enumerate(json.loads(sys.argv[1])):
+        ready, begin = os.pipe()
+        children = []
+        for k, (program, *arguments) in enumerate(group):
+            children.append(os.fork())
+            if not children[-1]:
+                for stream in (1, 2):
+                    output = os.open(f"output-{number}-{k}-{stream}", os.O_WRONLY | os.O_CREAT)
+                    os.dup2(output, stream)
+                os.close(begin)  # the commands of a group start when the pipe is closed
+                os.read(ready, 1)
+                if program == "cd":
+                    folder, program, *arguments = arguments
+                    os.chdir(folder)
+                if program != "testbed":
+                    os.execvp(program, [program, *arguments])
+                sys.argv = [program, *arguments]
+                main()
+                sys.exit()
+        os.close(begin)
+        os.close(ready)
+        codes.append([os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) for child in children])
+    print(json.dumps(codes), flush=True)
 
 
 @dataclass(frozen=True)
@@ -74,10 +73,27 @@ def together(folder, *groups, apart=False):
         if shutil.which("unshare") is None or subprocess.run(tried, capture_output=True).returncode:
             pytest.skip("nothing can be mounted here, neither as root nor in a user namespace")
     plan = json.dumps([[list(map(str, command)) for command in group] for group in groups])
+    if not apart:
+        with tempfile.TemporaryFile("w+") as output, tempfile.TemporaryFile("w+") as errors:
+            process = Forked(
+                *("together:work", plan),
+                cwd=folder,
+                env=environment(500),
+                stdout=output,
+                stderr=errors,
+            )
+            try:
+                code = process.wait(TIMEOUT_S)
+            finally:
+                if process.poll() is None:
+                    os.killpg(process.pid, signal.SIGKILL)
+            for each in (output, errors):
+                each.seek(0)
+            return _ended(folder, code, output.read(), errors.read())
     with subprocess.Popen(
-        [*(unshare if apart else []), sys.executable, "-c", _FORKING, plan],
+        [*unshare, sys.executable, "-c", "from together import work; work()", plan],
         cwd=folder,
-        env=environment(500),
+        env=environment(500, SHARED),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -88,7 +104,11 @@ def together(folder, *groups, apart=False):
         finally:
             if process.poll() is None:
                 os.killpg(process.pid, signal.SIGKILL)
-    assert process.returncode == 0, stderr
+    return _ended(folder, process.returncode, stdout, stderr)
+
+
+def _ended(folder, code, stdout, stderr):
+    assert code == 0, stderr
     return [
         [
             Ended(code, *((folder / f"output-{k}-{i}-{stream}").read_text() for stream in (1, 2)))
