@@ -24,7 +24,7 @@ MAKEFLAGS += --no-print-directory
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test checks warm-sensors warm-flights lint types tests clients check-all train bench rates results predictions delay numbers arduplane netem fly docs release audit newest lock clean
+.PHONY: help setup run test checks warm-sensors warm-flights warm-tests lint types tests clients check-all train bench rates results predictions delay numbers arduplane netem fly docs release audit newest lock clean
 
 help:
 	@sed -n 's/^# \{0,1\}//p' Makefile | sed -n '1,4p'
@@ -36,16 +36,21 @@ run: $(COMPILED)
 	@echo "fly: Simulation 3" >&2
 	@$(BIN)/testbed run scenarios/simulation-3.yaml $(or $(ARGS),--duration 60)
 
-# Kernels for the tests' flights are compiled once, in parallel with the checks that fly nothing.
+# Kernels for the tests' flights, and the tests, are compiled once, in parallel with the checks that
+# fly nothing.
 # PART=network: the tests of this package alone.
 test:
-	@$(if $(PART),,$(MAKE) -j 3 checks warm-sensors warm-flights)
+	@$(if $(PART),,$(MAKE) -j 3 checks warm-sensors warm-flights $(if $(wildcard tests/__pycache__),,warm-tests))
 	@$(MAKE) tests
 
 checks: lint types
 
 warm-sensors warm-flights: warm-%: $(STAMP)
 	@$(BIN)/python tests/warm.py $*
+
+# Errors are those of the tests themselves.
+warm-tests: $(STAMP)
+	-@$(BIN)/pytest -q --collect-only >/dev/null
 
 lint: $(STAMP)
 	@$(BIN)/ruff check --quiet .

@@ -217,7 +217,7 @@ def test_engine_files_are_checked_in_every_folder(folder, name):
 
 def test_drawn_aircraft_write_and_run_nothing(tmp_path):
     """Aircraft of JSBSim's grammar, most of which try to act; TESTBED_AIRCRAFT is their number."""
-    count = int(os.environ.get("TESTBED_AIRCRAFT", "12"))
+    count = int(os.environ.get("TESTBED_AIRCRAFT", "8"))
     done = subprocess.run(
         [sys.executable, SHARED / "airframe_fuzz.py", str(count), tmp_path],
         env=environment(80),
