@@ -60,8 +60,8 @@ types: $(STAMP)
 	@$(BIN)/mypy --no-error-summary
 
 # One thread each for numpy's linear algebra: there are as many tests at once as processors.
-# TESTBED_SHARD=1/3 runs a third of the files of tests. Files that are unchanged since they passed are
-# left out, but not in CI; ALL=1 runs them.
+# TESTBED_SHARD=1/3 runs a third of the tests, by whole files. Files that are unchanged since they
+# passed are left out, but not in CI; ALL=1 runs them.
 tests: $(STAMP) $(if $(PART),,$(CLIENTS_STAMP))
 	@OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -q -n $(WORKERS) --durations 5 $(if $(PART),tests/$(PART)) $(ARGS)
 

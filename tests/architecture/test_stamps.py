@@ -4,6 +4,7 @@ import json
 from types import SimpleNamespace
 
 import pytest
+import shards
 import stamps
 from places import ROOT, TESTS
 from selection import Selection
@@ -82,7 +83,7 @@ def selection(*args, keyword=""):
 def run(chosen, *results):
     """Have a selection see results of tests: a node, and how it ended."""
     for node, outcome in results:
-        chosen.pytest_runtest_logreport(SimpleNamespace(nodeid=node, outcome=outcome))
+        chosen.pytest_runtest_logreport(SimpleNamespace(nodeid=node, outcome=outcome, duration=0.1))
     chosen.pytest_sessionfinish(SimpleNamespace(), pytest.ExitCode.OK)
 
 
@@ -115,3 +116,20 @@ def test_shards_are_all_tests_once(monkeypatch):
         assert chosen
         seen += chosen
     assert sorted(each.nodeid for each in seen) == sorted(each.nodeid for each in items)
+
+
+def test_shards_are_even_by_the_seconds_of_files(tmp_path, monkeypatch):
+    monkeypatch.setattr(shards, "SECONDS", tmp_path / "seconds.json")
+    shards.write_seconds({"long": 9.2, "b": 5.4, "c": 4.4, "short": 1.2})
+    assert json.loads(shards.SECONDS.read_text()) == {"b": 5, "c": 4, "long": 9}
+    files = ["b", "c", "long", "new", "short"]
+    assert [shards.files_of(part, 2, files) for part in (1, 2)] == [
+        {"long", "new"},
+        {"b", "c", "short"},
+    ]
+
+
+def test_table_of_seconds_names_files_that_exist():
+    assert [
+        name for name in json.loads(shards.SECONDS.read_text()) if not (ROOT / name).exists()
+    ] == []

@@ -1,10 +1,10 @@
 """Which tests run: not those of other shards, nor of files that are unchanged since they passed."""
 
 import os
-import zlib
 from collections import defaultdict
 
 import pytest
+import shards
 import stamps
 
 
@@ -19,6 +19,7 @@ class Selection:
         self.stamps = not some and stamps.wanted()  # some tests of a file do not stand for it
         self.left_out = None  # tests of files that are left out, by file
         self.expected, self.results = defaultdict(set), defaultdict(dict)
+        self.seconds = defaultdict(float)  # by file
 
     def find_left_out(self):
         if self.left_out is None:
@@ -34,12 +35,11 @@ class Selection:
     def pytest_collection_modifyitems(self, items):
         left_out = self.find_left_out()
         part, of = map(int, os.environ.get("TESTBED_SHARD", "1/1").split("/"))
-
-        def runs(item):
-            name = str(item.path.relative_to(self.root))
-            return str(item.path) not in left_out and zlib.crc32(name.encode()) % of == part - 1
-
-        items[:] = filter(runs, items)
+        names = {item.path: item.path.relative_to(self.root).as_posix() for item in items}
+        chosen = shards.files_of(part, of, names.values())
+        items[:] = (
+            each for each in items if str(each.path) not in left_out and names[each.path] in chosen
+        )
         self.expect(item.nodeid for item in items)
 
     @pytest.hookimpl(optionalhook=True)
@@ -51,12 +51,16 @@ class Selection:
             self.expected[name.partition("::")[0]].add(name)
 
     def pytest_runtest_logreport(self, report):
-        of_file = self.results[report.nodeid.partition("::")[0]]
+        name = report.nodeid.partition("::")[0]
+        of_file = self.results[name]
+        self.seconds[name] += report.duration
         of_file[report.nodeid] = of_file.get(report.nodeid, True) and report.outcome != "failed"
 
     def pytest_sessionfinish(self, session, exitstatus):
         if exitstatus == pytest.ExitCode.NO_TESTS_COLLECTED and self.left_out:
             session.exitstatus = pytest.ExitCode.OK
+        if self.worker is None and os.environ.get("TESTBED_SECONDS"):
+            shards.write_seconds(self.seconds)
         if self.worker is None and self.stamps:
             whole = {k: v for k, v in self.results.items() if v.keys() == self.expected[k]}
             passed = {self.root / k: len(v) for k, v in whole.items() if all(v.values())}
