@@ -6,20 +6,18 @@ from pathlib import Path
 import pytest
 from commands import call_command
 from small_study import in_this_process
+from user_laws import FILTERED
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Return a folder with the example, whose law also counts its steps."""
-    folder = tmp_path_factory.mktemp("example")
-    law = (EXAMPLES / "leader_follower_kernel.py").read_text("utf-8")
-    law = law.replace('("height_ms", float)]', '("height_ms", float), ("steps", int)]')
-    law = law.replace("    age = now", "    memory.steps += 1\n    age = now")
-    (folder / "leader_follower_kernel.py").write_text(law, "utf-8")
-    scenario = (EXAMPLES / "leader-follower-kernel.yaml").read_text("utf-8")
-    (folder / "own.yaml").write_text(scenario, "utf-8")
+    """Return a folder with a law that also counts its steps."""
+    folder = tmp_path_factory.mktemp("filtered")
+    (folder / "law_filtered.py").write_text(FILTERED, "utf-8")
+    law = 'controller: {law: "law_filtered:filtered"}'
+    (folder / "own.yaml").write_text(f"extends: simulation-3\n{law}\n", "utf-8")
     return folder
 
 
