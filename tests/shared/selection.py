@@ -23,8 +23,10 @@ class Selection:
 
     def find_left_out(self):
         if self.left_out is None:
-            of_first = None if self.worker is None else self.worker["left_out"]
-            self.left_out = of_first or (stamps.unchanged() if self.stamps else {})
+            if self.worker is not None:
+                self.left_out = self.worker["left_out"]
+            else:
+                self.left_out = stamps.unchanged() if self.stamps else {}
         return self.left_out
 
     @pytest.hookimpl(optionalhook=True)

@@ -72,6 +72,7 @@ def digest_below(*folders):
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
 
+@cache
 def module_files(name):
     """Return the files of a module of the testbed or of the tests, with those of its packages."""
     words, found = name.split("."), []
@@ -118,6 +119,12 @@ def finds_modules(path):
     return "import_module(" in path.read_text("utf-8")
 
 
+@cache
+def uses_everything(path):
+    """Return whether a file of the tests starts programs or reads other files."""
+    return bool(EVERYTHING.search(OF_DATA.sub("", path.read_text("utf-8"))))
+
+
 def environment():
     """Return what else decides a test: the interpreter and the sizes of samples."""
     sizes = {
@@ -130,9 +137,9 @@ def stamp(path):
     """Return the digest of all that decides the tests of a file."""
     files = closure(path)
     own = [each for each in files if each.is_relative_to(SHARED.parent)]
-    texts = [OF_DATA.sub("", each.read_text("utf-8")) for each in own if each.name != "places.py"]
     others = [each for each in files if each not in own and each not in COMPUTED]
-    if any(EVERYTHING.search(text) for text in texts) or any(map(finds_modules, others)):
+    read = (each for each in own if each.name != "places.py")
+    if any(map(uses_everything, read)) or any(map(finds_modules, others)):
         parts = [digest_below("")]
     else:
         parts = [digest_below(*DATA), *sorted(f"{each.name} {digest_of(each)}" for each in files)]

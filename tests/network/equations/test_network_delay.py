@@ -19,6 +19,7 @@ from network_samples import (
 from reference.channel_simulation import transmit
 from scipy import stats
 from scipy.integrate import quad
+from scipy.special import ndtri
 
 from testbed.core.errors import InputError
 from testbed.network.delays import PARETO_WITH_Z
@@ -70,7 +71,7 @@ def paretonormal():
 
     def raw(u):
         heavy = (1.0 - u) ** (-1.0 / PARETO) - 1.5
-        return 0.25 * stats.norm.ppf(u) + 0.75 * (4.0 / 3.0) * heavy
+        return 0.25 * ndtri(u) + 0.75 * (4.0 / 3.0) * heavy
 
     # the integral over u up to 1 - 1e-15: beyond, u^(-2/3) adds 3e-5 of some 0.9
     def square(w):
