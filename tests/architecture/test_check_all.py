@@ -9,10 +9,11 @@ sys.path.insert(0, str(ROOT / "tests"))
 
 import check_all  # noqa: E402
 
-# not of a sample: written, set by a test for its own processes, looked at by a person, or the shard
+# not of a sample: written, set by a test for its own processes, looked at by a person, the shard,
+# or that the seconds of files are written
 OTHERS = {
     *("TESTBED_SNAPSHOTS", "TESTBED_PICTURES", "TESTBED_SOCKET", "TESTBED_TEST_MARK"),
-    "TESTBED_SHARD",
+    *("TESTBED_SHARD", "TESTBED_SECONDS"),
 }
 
 

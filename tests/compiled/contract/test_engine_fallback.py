@@ -90,7 +90,7 @@ def test_odd_and_large_elements_are_compiled(tmp_path):
     compile(source, "source", "exec")
     assert len(source) < 100_000
     engine = find_engine(
-        make(tmp_path / "short", odd_and_large(20), LIMITED["at the start"]), RATE_HZ
+        make(tmp_path / "short", odd_and_large(8), LIMITED["at the start"]), RATE_HZ
     )
     assert engine.compiled is not None, engine.reasons
 
