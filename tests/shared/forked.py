@@ -22,18 +22,22 @@ MOST_BYTES = 1 << 20  # of a request
 STEP_S = 0.005
 
 
+def load():
+    """Import the commands, and fly, which loads what flights need."""
+    from testbed.cli.main import main  # noqa: F401 - for the processes
+    from testbed.runs.run import run
+    from testbed.scenario import load_scenario, set_duration
+
+    run(set_duration(load_scenario("simulation-3"), 0.1), write=False)
+
+
 def serve(number):
     """Fork a process for each request that arrives at a socket, until it is closed.
 
     Args:
         number: of the socket's file.
     """
-    from testbed.cli.main import main  # noqa: F401 - for the processes
-    from testbed.runs.run import run
-    from testbed.scenario import load_scenario, set_duration
-
-    # loads what flights need
-    run(set_duration(load_scenario("simulation-3"), 0.1), write=False)
+    load()
     line = socket.socket(fileno=number)
     while True:
         data, files, *_ = socket.recv_fds(line, MOST_BYTES, 3)

@@ -15,6 +15,8 @@ from forked import Forked
 from places import SHARED
 from waiting import TIMEOUT_S
 
+LOAD_AND_WORK = "import forked, together; forked.load(); together.work()"
+
 
 def work():
     """Run the groups of commands of this process's argument, and print their exit codes."""
@@ -91,7 +93,7 @@ def together(folder, *groups, apart=False):
                 each.seek(0)
             return _ended(folder, code, output.read(), errors.read())
     with subprocess.Popen(
-        [*unshare, sys.executable, "-c", "from together import work; work()", plan],
+        [*unshare, sys.executable, "-c", LOAD_AND_WORK, plan],
         cwd=folder,
         env=environment(500, SHARED),
         stdout=subprocess.PIPE,
