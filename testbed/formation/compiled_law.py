@@ -74,6 +74,7 @@ def kernel(
     send: Sequence[str] = (),
     log: Sequence[str] = (),
     events: Mapping[str, Sequence[str]] | None = None,
+    requires: Callable[..., None] | None = None,
 ) -> Callable[[F], F]: ...
 
 
@@ -84,6 +85,7 @@ def kernel(
     send: Sequence[str] = (),
     log: Sequence[str] = (),
     events: Mapping[str, Sequence[str]] | None = None,
+    requires: Callable[..., None] | None = None,
 ) -> F | Callable[[F], F]:
     """Compile a formation law of one follower, or a function that such a law calls.
 
@@ -117,6 +119,9 @@ def kernel(
         send: fields of floats that each message carries: the others have them in `inbox.payload`.
         log: fields that the log has, in `law`.
         events: texts of the values of integer fields; see `testbed.law.Outputs`.
+        requires: function of Python that is called before a flight with the
+            `testbed.law.FormationConfig` of all followers and the options by name, also those at
+            their defaults. It raises a ValueError where a hypothesis of the law does not hold.
 
     Raises:
         ValueError: `memory` is no list of fields with numbers, or lacks a field that is named.
@@ -126,6 +131,7 @@ def kernel(
     def compile_law(function: F) -> F:
         compiled = checked_kernel(function)
         compiled.law_outputs = outputs  # type: ignore[attr-defined]
+        compiled.law_requires = requires  # type: ignore[attr-defined]
         return compiled
 
     return compile_law if function is None else compile_law(function)

@@ -76,7 +76,9 @@ def build_control(fleet: FormationPlan, controller: Controller, clock: Clock) ->
             hbh23 = Hbh23Law(
                 law[indices], neighbours[indices], (weights, *reads), (reads.velocity,)
             )
-            user_law, origin = build_law(controller.law, controller.options, members, parts, hbh23)
+            user_law, origin = build_law(
+                controller.law, controller.options, members, parts, hbh23, config
+            )
             commands.add(_check_user_law(fleet.followers, members, user_law, controller))
             messages.append(f"the law {law_name(user_law)} runs {origin}")
         groups.append(ControlGroup(np.array(rows, dtype=np.intp), members, user_law))

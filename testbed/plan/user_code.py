@@ -13,6 +13,7 @@ import re
 import site
 import sys
 import sysconfig
+import traceback
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -40,7 +41,7 @@ from testbed.formation.compiled_law import (
 from testbed.formation.control_step import Hbh23Law
 from testbed.formation.law import OLD_BOUNDS, FormationConfig, Law
 from testbed.formation.law_outputs import Outputs, outputs_of
-from testbed.scenario import Scenario, code_references, find_code, library, with_values
+from testbed.scenario import LAWS, Scenario, code_references, find_code, library, with_values
 from testbed.scenario.fields import KeyPath, is_number
 
 
@@ -50,23 +51,26 @@ def build_law(
     config: FormationConfig,
     parts: Mapping[str, Deferred],
     hbh23: Hbh23Law,
+    formation: FormationConfig | None = None,
 ) -> tuple[Law, str]:
     """Import and construct the law of a scenario's `controller.law`.
 
     Args:
-        name: "module:name" of a file in scenarios/ or an installed module, or
-            "path/of/file.py:name", of a class or of a function under `@testbed.kernel`.
+        name: of a law of the library, "module:name" of a file in scenarios/ or an installed
+            module, or "path/of/file.py:name", of a class or of a function under `@testbed.kernel`.
         options: keyword arguments.
         config: of its followers.
         parts: what was read for the fields of the configuration.
         hbh23: their law of [HBH23], for one that extends it.
+        formation: configuration of all followers, of which a kernel may require something; None:
+            the same.
 
     Returns:
         The law, and a description of its code with the digest.
 
     Raises:
-        InputError: the module or name does not exist, does not accept these options, or cannot be
-            compiled.
+        InputError: the module or name does not exist, does not accept these options, cannot be
+            compiled, or requires what the formation or the options do not have.
     """
     module_name, _, law_name = find_code(name).rpartition(":")
     module, origin = import_code(module_name, "controller.law")
@@ -76,7 +80,7 @@ def build_law(
     described = _describe(module_name, origin)
     if compiled:
         _use_named(names_in_kernel(found), config, parts, hbh23)
-        law, kept = _build_kernel(found, options, config, hbh23)
+        law, kept = _build_kernel(found, options, config, hbh23, formation or config)
         return law, f"{described}{kept}"
     with user_code_errors(origin):
         if hasattr(found, "py_func"):
@@ -170,6 +174,7 @@ def _build_kernel(
     options: Mapping[str, Any],
     config: FormationConfig,
     hbh23: Hbh23Law,
+    formation: FormationConfig,
 ) -> tuple[CompiledLaw, str]:
     """Build a law under `@testbed.kernel`, and describe how its machine code is kept."""
     function = python_function(found)
@@ -186,6 +191,9 @@ def _build_kernel(
         _kernel_option(each.name, arguments[each.name], each.default)
         for each in parameters[len(ARGUMENTS) :]
     )
+    _check_hypotheses(
+        found, formation, dict(zip(list(arguments)[len(ARGUMENTS) :], values, strict=True))
+    )
     digest, kept = None, ""
     try:
         digest = code_digest(found)
@@ -199,6 +207,29 @@ def _build_kernel(
     except Exception as error:  # numba's, of many classes
         raise_memory_shortage(error)
         raise InputError(f"controller.law: {describe_compile_error(error, found)}") from error
+
+
+def _check_hypotheses(
+    law: Any,  # noqa: ANN401 - numba's dispatcher
+    formation: FormationConfig,
+    options: Mapping[str, Any],
+) -> None:
+    """Call what a law requires of its formation and options.
+
+    Raises:
+        InputError: it raises an error; the text has file and line, and that of the error.
+    """
+    if (requires := law.law_requires) is None:
+        return
+    name, file = python_function(law).__name__, python_function(law).__code__.co_filename
+    with user_code_errors(file, f"the hypotheses of the law {name}"):
+        try:
+            requires(formation, **options)
+        except ValueError as error:
+            frames = traceback.extract_tb(error.__traceback__)
+            line = [each.lineno for each in frames if each.filename == file]
+            place = f"{file}:{line[-1]}" if line else file
+            raise InputError(f"{place}: {name} requires: {error}") from error
 
 
 def _kernel_option(name: str, value: Any, default: Any) -> Any:  # noqa: ANN401
@@ -271,7 +302,7 @@ def with_stored_code(scenario: Scenario) -> tuple[Scenario, Mapping[str, bytes]]
     for loc, name in code_references(scenario):
         module_name, _, object_name = find_code(name).rpartition(":")
         path = Path(module_name)
-        if path.suffix != ".py" or _in_library(path):
+        if path.suffix != ".py" or path.parent == library() / "scenarios":
             continue
         code = _read(path)
         if files.setdefault(path.name, code) != code:
@@ -309,8 +340,8 @@ def _package_folders() -> Iterator[Path]:
 
 
 def _in_library(path: Path) -> bool:
-    """Return whether a file belongs to the testbed's own scenarios."""
-    return path.parent == library() / "scenarios"
+    """Return whether a file is a law of the library, or belongs to the testbed's scenarios."""
+    return path.parent in (LAWS, library() / "scenarios")
 
 
 def _describe(module_name: str, origin: str) -> str:

@@ -18,6 +18,7 @@ from testbed.scenario.middle_loop import MiddleLoopGains as MiddleLoopGains
 from testbed.scenario.problems import FilePosition as FilePosition
 from testbed.scenario.problems import Problem as Problem
 from testbed.scenario.problems import ScenarioError as ScenarioError
+from testbed.scenario.references import LAWS as LAWS
 from testbed.scenario.references import code_references as code_references
 from testbed.scenario.references import find_aircraft as find_aircraft
 from testbed.scenario.references import find_code as find_code
@@ -29,6 +30,7 @@ from testbed.scenario.references import find_tuning as find_tuning
 from testbed.scenario.references import library as library
 from testbed.scenario.references import list_aircraft as list_aircraft
 from testbed.scenario.references import list_data as list_data
+from testbed.scenario.references import list_laws as list_laws
 from testbed.scenario.references import list_scenarios as list_scenarios
 from testbed.scenario.references import list_studies as list_studies
 from testbed.scenario.references import list_tunings as list_tunings

@@ -35,15 +35,16 @@ from testbed.scenario.fields import (
     is_number,
 )
 from testbed.scenario.middle_loop import EstimatorChanges, GainChanges
+from testbed.scenario.reference_fields import BUILT_IN as BUILT_IN
 from testbed.scenario.reference_fields import CODE, GainsReference
-
-BUILT_IN = "hbh23"  # the law of the paper
 
 
 def _law_name(value: str) -> str:
-    """Accept hbh23 and module:Class."""
-    if not re.fullmatch(r"hbh23|[^:]+:[A-Za-z_]\w*", value):
-        raise PydanticCustomError("law", "must be hbh23, or module:Class for your own law")
+    """Accept a name of the library's, and module:Class."""
+    if not re.fullmatch(r"[^:]+(:[A-Za-z_]\w*)?", value):
+        raise PydanticCustomError(
+            "law", "must be the name of a law as hbh23, or module:Class for your own law"
+        )
     return value
 
 
@@ -313,12 +314,12 @@ class Controller(Section):
 
     law: LawName = Field(
         "hbh23",
-        description="Control law: hbh23 is [HBH23] (5) to (15); module:Class is your own law, or "
-        "module:function if it is compiled, from module.py in the folder of this file or from an "
-        "installed package.",
+        description="Control law: hbh23 is [HBH23] (5) to (15); leader-follower and others are of "
+        "the library of laws; module:Class is your own law, or module:function if it is compiled, "
+        "from module.py in the folder of this file or from an installed package.",
     )
     options: Mapping[Name, LawOption] = Field(
-        {}, description="Keyword arguments of the class or function of your own law."
+        {}, description="Keyword arguments of the class or function of the law."
     )
     profile: Name = Field(
         "tuned",

@@ -15,6 +15,7 @@ from pydantic import BaseModel, Field
 from testbed.scenario.fields import KeyPath
 
 ReferenceKind = Literal["aircraft", "tune", "scenario", "data", "gains", "code"]
+BUILT_IN = "hbh23"  # the law of the paper, which is no file
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +36,7 @@ DataReference = Annotated[str, Field(min_length=1), RefersTo("data")]
 GainsReference = Annotated[str, Field(min_length=1), RefersTo("gains")]
 """The path of a file like middle_loop.yaml."""
 CODE = RefersTo("code")
-"""Mark of `module:name`; a text without a colon is the name of something built in."""
+"""Mark of `module:name`, or of the name of a law of the library."""
 
 
 class Reference(NamedTuple):
@@ -112,7 +113,7 @@ def _of_value(
     elif isinstance(value, list | tuple):
         for index, each in enumerate(value):
             yield from _of_value(section, each, (*loc, index), kind)
-    elif isinstance(value, str) and kind is not None and (kind != "code" or ":" in value):
+    elif isinstance(value, str) and kind is not None and (kind != "code" or value != BUILT_IN):
         aircraft = section.aircraft if kind == "tune" else ""  # type: ignore[attr-defined]
         yield Reference(loc, kind, value, aircraft)
 

@@ -16,7 +16,7 @@ from testbed.core.library import library as library
 from testbed.scenario.checks import check_air, check_sensor_rates
 from testbed.scenario.fields import KeyPath, Section
 from testbed.scenario.problems import FilePosition, Problem, ScenarioError, did_you_mean
-from testbed.scenario.reference_fields import Reference, ReferenceKind, references
+from testbed.scenario.reference_fields import BUILT_IN, Reference, ReferenceKind, references
 from testbed.scenario.schema import Scenario
 from testbed.scenario.single_aircraft import SingleAircraft
 from testbed.scenario.yaml_io import Node, error_at, walk
@@ -24,6 +24,7 @@ from testbed.scenario.yaml_io import Node, error_at, walk
 _Found = TypeVar("_Found")
 SectionT = TypeVar("SectionT", bound=Section)
 _DATA = Path("scenarios/data")
+LAWS = Path(__file__).resolve().parents[1] / "laws"
 _YAML, _PARAM = ".yaml", ".param"
 
 
@@ -65,6 +66,25 @@ list_tunings, find_tuning = _TUNINGS.list, _TUNINGS.find
 def list_data() -> tuple[str, ...]:
     """Return the names of the data files that scenarios use, sorted."""
     return tuple(sorted(f.name for f in (library() / _DATA).glob("*.csv")))
+
+
+def list_laws() -> tuple[str, ...]:
+    """Return the names of the laws of the library, sorted; the built-in one is not among them."""
+    return tuple(sorted(f.stem.replace("_", "-") for f in LAWS.glob("*.py")))
+
+
+def find_law(name: str) -> Path:
+    """Return the file of a law of the library, in which a function has the file's name.
+
+    Raises:
+        ScenarioError: there is no such law.
+    """
+    if name in (known := list_laws()):
+        return LAWS / f"{name.replace('-', '_')}.py"
+    known = (BUILT_IN, *known)
+    hint = did_you_mean(name.replace("_", "-"), known)
+    text = f"there is no law {name!r}{hint} (write one of: {', '.join(known)}; or "
+    raise error_at(FilePosition(name), text + "module:Class or module:function for your own law)")
 
 
 def find_aircraft(name_or_path: str | Path, *, folder: Path | None = None) -> Path:
@@ -111,7 +131,8 @@ def find_code(name: str, *, folder: Path | None = None, within: Path | None = No
     A module.py in `folder` (of the scenario file) or in scenarios/ precedes an installed module.
 
     Args:
-        name: `module:name` or `file.py:name` of a law's class or of a function.
+        name: `module:name` or `file.py:name` of a law's class or of a function, or the name of a
+            law of the library.
         folder: None: find a resolved name again.
         within: the folder of the file that names it, outside of which a file runs no code; None:
             the caller names it, and may choose any.
@@ -119,6 +140,9 @@ def find_code(name: str, *, folder: Path | None = None, within: Path | None = No
     Raises:
         ScenarioError: the file does not exist, or is outside of `within`.
     """
+    if ":" not in name:
+        path = find_law(name)
+        return f"{path}:{path.stem}"
     module, _, object_name = name.rpartition(":")
     if module.endswith(".py"):
         path = absolute(module, folder)
@@ -309,7 +333,10 @@ class _Resolver:
         return finder.name(found)
 
     def _find_code(self, loc: KeyPath, name: str, folders: tuple[Path, ...]) -> str:
-        """Return the source of a user's own law or function."""
+        """Return the source of a law or function; a law of the library keeps its name."""
+        if ":" not in name:
+            find_law(name)
+            return name
         # in a text or a setting, unlike in a file, the caller chooses the code
         in_file = is_file(Path(walk(self.tree, loc)[0].place.source))
         within = folders[0] if in_file else self._settings_folder

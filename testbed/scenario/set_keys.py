@@ -328,8 +328,8 @@ def explain_unused(scenario: Sections, path: Keys) -> str:
     if section in ("controller", "formation") and law != BUILT_IN:
         name = law.rpartition("/")[2]
         return (
-            f"controller.law is {name}, a law of your own, and neither it nor what flies its "
-            "commands uses this key (leave it out, or write law: hbh23)"
+            f"controller.law is {name}, and neither it nor what flies its commands uses this key "
+            "(leave it out, or write law: hbh23)"
         )
     if section in ("controller", "formation") and all(
         each.vehicle == "unicycle" for each in scenario.fleet

@@ -58,7 +58,7 @@ def _short(reference: str, name: str, here: Path) -> str:
 
 
 def _code(name: str, folder: Path, here: Path) -> str:
-    if ":" not in name:
+    if ":" not in name:  # of the library
         return name
     file, _, object_name = find_code(name, folder=folder).rpartition(":")
     if not file.endswith(".py") or Path(file).parent == library() / "scenarios":

@@ -21,6 +21,7 @@ FILES = {
         ".__init__"
     ): path
     for path in PACKAGE.rglob("*.py")
+    if path.parent.name != "laws"  # which are loaded as files of users are
 }
 
 
@@ -47,6 +48,15 @@ def imports(path):
 def all_imports():
     """What each module of the testbed imports."""
     return {name: imports(path) for name, path in FILES.items()}
+
+
+def test_laws_of_the_library_import_what_a_user_may():
+    laws = sorted((PACKAGE / "laws").glob("*.py"))
+    assert laws
+    for path in laws:
+        modules = {name for name in imports(path) if name[0].islower()}
+        named = {name for name in modules if not within(name, ["testbed.law"])}
+        assert named <= {"testbed", "numpy", "typing", "typing.Any"}, path
 
 
 def within(module, packages):

@@ -231,7 +231,9 @@ def test_law_missing_module_or_class_has_a_remedy(tmp_path):
     assert error.endswith("(it has Straight)")
     with pytest.raises(InputError, match=r"there is no file .*gone\.py"):
         load_scenario(write(tmp_path, law="gone.py:Straight"))
-    with pytest.raises(InputError, match="must be hbh23, or module:Class"):
+    with pytest.raises(
+        InputError, match=r"no law 'mine' \(write one of: hbh23, .*; or module:Class"
+    ):
         load_scenario(write(tmp_path, law="mine"))
 
 

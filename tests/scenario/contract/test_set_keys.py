@@ -171,7 +171,7 @@ def test_keys_of_extended_files_are_silent(own_laws):
         build(load_scenario(own))
     (problem,) = caught.value.problems
     assert (problem.place.line, problem.path) == (4, ("formation", "k"))
-    assert "key_laws.py:Sticks, a law of your own" in problem.text
+    assert "key_laws.py:Sticks, and neither it" in problem.text
     # its remedy
     build(load_scenario(own, ["controller.law=hbh23"]))
     # and what puts a key of the file out of action is a warning
