@@ -52,7 +52,7 @@ from testbed.law import (
 
 DOWN = np.array([0.0, 0.0, 1.0])
 STEPS = 20
-DOUBLINGS = 8  # 2⁸ steps of the Riccati recursion
+DOUBLINGS = 7  # 2⁷ steps of the Riccati recursion
 
 
 def requires(
@@ -87,11 +87,18 @@ def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 @testbed.kernel
 def inverse(a: np.ndarray) -> np.ndarray:
-    """Return the inverse of a matrix (3, 3)."""
+    """Return the inverse of a matrix (3, 3), by its cofactors."""
     c = np.zeros((3, 3))
     for i in range(3):
-        c[:, i] = np.cross(a[(i + 1) % 3], a[(i + 2) % 3])
-    return c / np.sum(a[0] * c[:, 0])
+        p, q = (i + 1) % 3, (i + 2) % 3
+        for j in range(3):
+            r, s = (j + 1) % 3, (j + 2) % 3
+            c[j, i] = a[p, r] * a[q, s] - a[p, s] * a[q, r]
+    determinant = a[0, 0] * c[0, 0] + a[0, 1] * c[1, 0] + a[0, 2] * c[2, 0]
+    for i in range(3):
+        for j in range(3):
+            c[i, j] /= determinant
+    return c
 
 
 @testbed.kernel
@@ -125,6 +132,27 @@ def terminal_weight(a: np.ndarray, b: np.ndarray, weights: np.ndarray, input: fl
 
 
 @testbed.kernel
+def hessian_bound(
+    model: tuple[np.ndarray, np.ndarray, np.ndarray], weights: np.ndarray, input: float
+) -> float:
+    """Return L of (5)."""
+    a, b, p = model
+    bound, g, sums = input, b.copy(), np.zeros(3)
+    for k in range(STEPS):
+        for i in range(3):
+            for j in range(3):
+                bound += g[i] * p[i, j] * g[j]
+            if k < STEPS - 1:
+                sums[i] += abs(g[i])
+        g[0] += a[0, 1] * g[1] + a[0, 2] * g[2]
+        g[1] += a[1, 2] * g[2]
+        g[2] *= a[2, 2]
+    for i in range(3):
+        bound += weights[i] * sums[i] ** 2
+    return bound
+
+
+@testbed.kernel
 def solve(
     plan: np.ndarray,
     start: np.ndarray,
@@ -132,23 +160,11 @@ def solve(
     model: tuple[np.ndarray, np.ndarray, np.ndarray],
     weights: np.ndarray,
     input: float,
+    lipschitz: float,
     iterations: int,
 ) -> None:
-    """Improve a plan (N,) in place, (4) and (5), from the state `start` (3,)."""
+    """Improve a plan (N,) in place, (4), from the state `start` (3,)."""
     a, b, p = model
-    lipschitz = input
-    g = b.copy()
-    sums = np.zeros(3)
-    for k in range(STEPS):
-        for i in range(3):
-            for j in range(3):
-                lipschitz += g[i] * p[i, j] * g[j]
-        if k < STEPS - 1:
-            sums += np.abs(g)
-        g = np.array(
-            [g[0] + a[0, 1] * g[1] + a[0, 2] * g[2], g[1] + a[1, 2] * g[2], a[2, 2] * g[2]]
-        )
-    lipschitz += np.sum(weights * sums**2)
     for k in range(STEPS):
         plan[k] = min(max(plan[k], bounds[0]), bounds[1])
     ahead, before = plan.copy(), plan.copy()
@@ -235,6 +251,7 @@ def mpc(
     a, b = sampled_model(step_s, lag_s)
     weights = np.array([position_weight, velocity_weight, 0.0])
     model = (a, b, terminal_weight(a, b, weights, input_weight))
+    lipschitz = hessian_bound(model, weights, input_weight)
     moved = config.dt / step_s
     correction = np.zeros(3)
     for i in range(3):
@@ -252,7 +269,7 @@ def mpc(
             if k + 1 < STEPS:
                 plan[k] += moved * (memory.plan[i, k + 1] - plan[k])
         bounds = (-limits_mps2[i] - along, limits_mps2[i] - along)
-        solve(plan, start, bounds, model, weights, input_weight, iterations)
+        solve(plan, start, bounds, model, weights, input_weight, lipschitz, iterations)
         memory.plan[i, :] = plan
         correction += plan[0] * axes[i]
     decay = np.exp(-config.dt / lag_s)

@@ -24,9 +24,9 @@ states what the parameters mean, not the formulas; those below are this law's.
     overshot:  close, q_s behind by more than the angle: heading to q_s, least airspeed    (3)
     V_c = V₀ + PID_D(d + t_L ḋ) + PID_V(ḋ)                                                (4)
 
-d is the distance to the slot along the leader's course, ḋ the leader's speed minus the own one along
-it, V₀ the leader's airspeed by the own estimate of the wind. Each heading is that of the velocity
-through the air whose velocity over the ground has the wanted course.
+d is the distance to the slot along the leader's course, ḋ the leader's speed minus the own one
+along it, V₀ the leader's airspeed by the own estimate of the wind. Each heading is that of the
+velocity through the air whose velocity over the ground has the wanted course.
 
 What stands in for ArduPlane's own loops, which are not the applet's:
 
@@ -38,10 +38,10 @@ What stands in for ArduPlane's own loops, which are not the applet's:
 TECS_CLMB_MAX and TECS_SINK_MAX.
 
 Hypotheses: each follower hears the leader; no gain is negative, and `heading_p`, `distance_p`,
-`throttle_p`, `height_s`, `lookahead_s`, `close_m` > 0. Property: (5) has no integral, so in a steady
-turn at χ̇ the heading is behind the commanded one by arctan(χ̇ V / g) / `heading_p`, 52° at 45° of
-bank with the default of 4.7; on a straight path with a constant error of the speed the distance
-error goes to zero with `distance_i` > 0.
+`throttle_p`, `height_s`, `lookahead_s`, `close_m` > 0. Property: (5) has no integral, so in a
+steady turn at χ̇ the heading is behind the commanded one by arctan(χ̇ V / g) / `heading_p`, 52° at
+45° of bank with the default of 4.7; on a straight path with a constant error of the speed the
+distance error goes to zero with `distance_i` > 0.
 """
 
 import numpy as np
@@ -135,7 +135,7 @@ def plane_follow(
     difference = abs(wrap(leader_heading - heading))
     bearing_error = abs(wrap(np.arctan2(to_east, to_north) - heading))
     turns = difference > np.radians(turn_deg)
-    airspeed = own.airspeed
+    airspeed = float(own.airspeed)
     target_airspeed = np.hypot(velocity[0] - wind[0], velocity[1] - wind[1])
     is_close = np.hypot(to_north, to_east) < close_m
     overshot = is_close and distance < 0.0 and difference > np.radians(overshoot_deg)

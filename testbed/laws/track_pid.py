@@ -27,8 +27,14 @@ error; likewise for height and speed.
 import numpy as np
 
 import testbed
-from testbed.law import FbwaCommand, FollowerConfig, FormationConfig, Inbox, OwnState
-from testbed.law import ground_speed_bounds
+from testbed.law import (
+    FbwaCommand,
+    FollowerConfig,
+    FormationConfig,
+    Inbox,
+    OwnState,
+    ground_speed_bounds,
+)
 
 GRAVITY = 9.81
 WINDUP_M = 15.0  # errors beyond which integrals hold
