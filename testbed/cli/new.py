@@ -23,7 +23,7 @@ from testbed.cli.output import (
 )
 from testbed.core.errors import InputError
 from testbed.core.files import create_file, new_folder, report_write_errors, write_text_file
-from testbed.scenario import load_scenario
+from testbed.scenario import find_law, load_scenario
 from testbed.scenario.control import BUILT_IN
 
 if TYPE_CHECKING:
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 
 PICTURE = "envelope.png"
 _TEMPLATES = Path(__file__).parent / "new_files"
+_OPTIONS = "  options: {closing_per_s: 0.3}\n"  # of the law that is made without --from
 SPEEDS = (1.0, 340.0)  # m/s, as of a scenario
 
 
@@ -61,32 +62,55 @@ def new_law_command(
     into: Annotated[
         Path | None, value_option("FOLDER", "Folder to make.  \\[default: the law's name, here]")
     ] = None,
+    begin_with: Annotated[
+        str | None,
+        value_option(
+            "LAW", "Law of the library to begin with.  \\[default: one of 20 lines]", "--from"
+        ),
+    ] = None,
 ) -> None:
     """Make a law of your own that flies: a kernel, a scenario, a study and a notebook.
 
-    The kernel is a leader-follower law of 20 lines, to be changed. The scenario flies it on
-    Simulation 3, the study compares it with the paper's law over 20 seeds, and the notebook goes
-    from the flight to a figure and margins.
+    The kernel is a leader-follower law of 20 lines, or a law of the library, to be changed. The
+    scenario flies it on Simulation 3, the study compares it with the paper's law over 20 seeds, and
+    the notebook goes from the flight to a figure and margins.
     """
     check_law_name(name)
     target = Path(name) if into is None else into
-    texts = {
+    templates = {
         f"{name}.py": "law.py",
         f"{name}.yaml": "law.yaml",
         f"{name}-study.yaml": "law-study.yaml",
         f"{name}.ipynb": "law.ipynb",
     }
+    texts = {file: filled_template(each, {"NAME": name}) for file, each in templates.items()}
+    if begin_with is not None:
+        texts[f"{name}.py"] = _renamed_law(begin_with, name)
+        texts[f"{name}.yaml"] = texts[f"{name}.yaml"].replace(_OPTIONS, "")
     with report_write_errors(f"--into {target}" if into else target), new_folder(target) as folder:
         folder.mkdir()
-        for file, template in texts.items():
+        for file, text in texts.items():
             with write_text_file(folder / file) as written:
-                written.write(filled_template(template, {"NAME": name}))
+                written.write(text)
     console = result_console(None)
     console.write_line(f" written: {', '.join(str(target / file) for file in texts)}")
     console.write_line(f" next: testbed validate {target / name}.yaml")
     console.write_line(f"       testbed run {target / name}.yaml")
     console.write_line(f"       testbed margins {target / name}.yaml")
     console.write_line(f"       testbed sweep {target / name}-study.yaml")
+
+
+def _renamed_law(law: str, name: str) -> str:
+    """Return the file of a law of the library with another name of the law.
+
+    Raises:
+        InputError: there is no such law, or its file has a word like the name.
+    """
+    file = find_law(law)
+    text = file.read_text("utf-8")
+    if re.search(rf"\b{name}\b", text):
+        raise InputError(f"the name {name!r} is one in the file of {law} (write another)")
+    return re.sub(rf"\b{file.stem}\b", name, text)
 
 
 def filled_template(name: str, words: Mapping[str, str]) -> str:

@@ -25,8 +25,8 @@ states what the parameters mean, not the formulas; those below are this law's.
     V_c = V₀ + PID_D(d + t_L ḋ) + PID_V(ḋ)                                                (4)
 
 d is the distance to the slot along the leader's course, ḋ the leader's speed minus the own one
-along it, V₀ the leader's airspeed by the own estimate of the wind. Each heading is that of the
-velocity through the air whose velocity over the ground has the wanted course.
+along it, V₀ the leader's airspeed by the own estimate of the wind. Each heading is that at which
+the velocity over the ground has the wanted course in that wind, without sideslip.
 
 What stands in for ArduPlane's own loops, which are not the applet's:
 
@@ -130,7 +130,7 @@ def plane_follow(
     relative = speed - (own.velocity_ned[0] * north + own.velocity_ned[1] * east)
 
     wind = own.wind_ned
-    heading = np.arctan2(own.velocity_ned[1] - wind[1], own.velocity_ned[0] - wind[0])
+    heading = own.euler[2]
     leader_heading = np.arctan2(velocity[1] - wind[1], velocity[0] - wind[0])
     difference = abs(wrap(leader_heading - heading))
     bearing_error = abs(wrap(np.arctan2(to_east, to_north) - heading))

@@ -23,6 +23,7 @@ from testbed.scenario.references import code_references as code_references
 from testbed.scenario.references import find_aircraft as find_aircraft
 from testbed.scenario.references import find_code as find_code
 from testbed.scenario.references import find_data as find_data
+from testbed.scenario.references import find_law as find_law
 from testbed.scenario.references import find_scenario as find_scenario
 from testbed.scenario.references import find_study as find_study
 from testbed.scenario.references import find_tune as find_tune
