@@ -83,8 +83,8 @@ def leader_follower(
     inbox: Inbox,
     memory: None,
     config: FollowerConfig,
-    closing_per_s: float = 0.4,
-    closing_limit_mps: float = 3.0,
+    closing_per_s: float = 0.8,
+    closing_limit_mps: float = 3.4,
 ) -> UnicycleCommand:
     """Return the command of one follower."""
     age = now - inbox.received_s[0]

@@ -228,12 +228,12 @@ def mpc(
     config: FollowerConfig,
     step_s: float = 0.2,
     iterations: int = 12,
-    position_weight: float = 1.0,
-    velocity_weight: float = 0.6,
+    position_weight: float = 38.5,
+    velocity_weight: float = 0.091,
     input_weight: float = 0.3,
-    lag_s: float = 0.4,
+    lag_s: float = 0.174,
     limits_mps2: tuple[float, float, float] = (2.0, 8.0, 2.5),
-    lead_s: float = 1.0,
+    lead_s: float = 0.39,
 ) -> UnicycleCommand:
     """Return the command of one follower."""
     age = now - inbox.received_s[0]

@@ -6,7 +6,8 @@ import matplotlib
 import pytest
 from commands import call_command
 
-from testbed.scenario import load_scenario
+from testbed.plan.world import build
+from testbed.scenario import find_law, load_scenario
 from testbed.studies.plan import load_study
 
 
@@ -26,6 +27,19 @@ def test_new_law_has_files_that_load(folder):
         assert "NAME" not in (folder / "mine" / file).read_text()
 
 
+def test_new_law_begins_with_one_of_the_library(tmp_path):
+    """Its file with another name of the function, and a scenario without options of another law."""
+    words = "new", "law", "mine", "--from", "virtual-structure"
+    call_command(*words, cwd=tmp_path, code=0, columns=200)
+    text = (tmp_path / "mine" / "mine.py").read_text("utf-8")
+    assert text.replace("def mine(", "def virtual_structure(") == find_law(words[4]).read_text(
+        "utf-8"
+    )
+    scenario = load_scenario(tmp_path / "mine" / "mine.yaml")
+    assert scenario.controller.law.endswith("mine.py:mine") and not scenario.controller.options
+    build(scenario)
+
+
 def test_new_notebook_runs_from_law_to_figure(folder, monkeypatch, capsys):
     """Its cells, in this process: the law flies, better than 1 m, and has margins."""
     matplotlib.use("Agg")
@@ -41,7 +55,13 @@ def test_new_notebook_runs_from_law_to_figure(folder, monkeypatch, capsys):
     assert (folder / "mine" / "mine.pdf").stat().st_size > 10_000
 
 
-@pytest.mark.parametrize("words", ["law mine", "law 3x", "law hbh23", "law class", "study a/b"])
+@pytest.mark.parametrize(
+    "words",
+    [
+        *("law mine", "law 3x", "law hbh23", "law class", "study a/b"),
+        *("law yours --from mine", "law solve --from mpc"),
+    ],
+)
 def test_wrong_names_are_refused(folder, words):
     before = sorted(folder.rglob("*"))
     done = call_command("new", *words.split(), cwd=folder, code=2, columns=200)
