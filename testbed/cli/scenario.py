@@ -1,7 +1,8 @@
-"""The command that lists what can be used by name: scenarios, studies, aircraft, runs."""
+"""The command that lists what can be used by name: scenarios, studies, laws, aircraft, runs."""
 
 from __future__ import annotations
 
+import ast
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
@@ -14,6 +15,7 @@ from testbed.cli.options import JsonFile
 from testbed.cli.output import PipeSafeConsole, result_console, write_json_output
 from testbed.core.errors import InputError
 from testbed.core.files import format_bytes
+from testbed.scenario.control import BUILT_IN
 
 # What each scenario shows, in at most 36 characters, which leave the table within 80 columns.
 GROUPS: Final[Mapping[str, Mapping[str, str]]] = {
@@ -113,12 +115,20 @@ STUDIES: Final[Mapping[str, str]] = {
     "joint-fit": "sets of numbers that give Table 2",
     "as-flown": "experiments, one set of parameters",
     "turn-direction": "the leader turns the other way",
+    "laws": "the laws of the library compared",
     "gap-budget-0": "the aircraft alone, without troubles",
     "gap-budget-1": "reasons for errors of experiment 1",
     "gap-budget-2": "reasons for errors of experiment 2",
     "gap-budget-3": "reasons for errors of experiment 3",
 }
-TUNES: Final[Mapping[str, str]] = {"x8-middle-loop": "gains of the X8's middle loop"}
+TUNES: Final[Mapping[str, str]] = {
+    "x8-middle-loop": "gains of the X8's middle loop",
+    "law-leader-follower": "gains of a law of the library",
+    "law-virtual-structure": "the same",
+    "law-track-pid": "the same",
+    "law-plane-follow": "the same",
+    "law-mpc": "the same",
+}
 
 AIRCRAFT_WIDTH, TIME_WIDTH = 3, 7  # columns of `testbed list`
 
@@ -141,7 +151,7 @@ def list_command(
     ] = False,
     json: JsonFile = None,
 ) -> None:
-    """List the scenarios, studies, tuning files and aircraft to begin with, or the runs.
+    """List the scenarios, studies, tuning files, laws and aircraft to begin with, or the runs.
 
     Scenarios have the number of their aircraft and the simulated time. --json writes every name.
     """
@@ -170,6 +180,10 @@ def _list_names(console: PipeSafeConsole, everything: bool) -> None:
         console.write_line(title, "bold")
         console.print(table)
         console.print()
+    title, table = _laws()
+    console.write_line(title, "bold")
+    console.print(table)
+    console.print()
     console.write_line("aircraft", "bold")
     for each in list_aircraft():
         console.write_line(each)
@@ -239,6 +253,7 @@ def _names_document() -> dict[str, Any]:
             for name, each in studies.items()
         ],
         "tunes": [{"name": name} for name in list_tunings()],
+        "laws": [{"name": name, "subject": subject} for name, subject in _law_subjects()],
         "aircraft": [{"name": name} for name in list_aircraft()],
     }
 
@@ -292,6 +307,24 @@ def _all_studies() -> Iterator[tuple[str, Table]]:
         table.add_row(name, f"{most}{len(Plan(study)):,} runs", line)
     yield "studies (testbed sweep)", table
     yield _tuning_files()
+
+
+def _laws() -> tuple[str, Table]:
+    table = _plain_table(_name_width(), ())
+    for row in _law_subjects():
+        table.add_row(*row)
+    return "laws (controller.law)", table
+
+
+def _law_subjects() -> list[tuple[str, str]]:
+    """Return the laws by name with the first line of their files, the paper's first."""
+    from testbed.scenario import find_law, list_laws
+
+    found = [(BUILT_IN, "the paper's law")]
+    for name in list_laws():
+        text = ast.get_docstring(ast.parse(find_law(name).read_text("utf-8"))) or ""
+        found.append((name, text.partition("\n")[0].rstrip(".")))
+    return found
 
 
 def _tuning_files() -> tuple[str, Table]:

@@ -1,4 +1,4 @@
-"""Leader-follower: fly with the slot's velocity, and close the error to it.
+"""Velocity of the slot, and bounded closing.
 
 Each follower knows the leader alone. Its slot is fixed in the leader's velocity frame, as
 separation and bearing are in [DOK01], where a feedback linearisation of the velocity makes both

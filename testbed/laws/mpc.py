@@ -1,4 +1,4 @@
-"""Linear model-predictive control of the slot error, by a fixed number of gradient steps.
+"""Linear model-predictive control of the slot error.
 
 Each control step solves, for each axis forward, right, down of the slot's velocity frame, which is
 held over the horizon of N = 20 steps of T, the quadratic program

@@ -1,9 +1,9 @@
-"""Following as ArduPilot's Plane Follow of 4.7, by what its documentation says of its behaviour.
+"""Following as ArduPilot's Plane Follow documents.
 
 ArduPlane flies in GUIDED; the applet commands a heading, an airspeed and an altitude. Written from
 the applet's documentation alone, libraries/AP_Scripting/applets/plane_follow.md of ArduPilot at
-commit 76b00622 (4.7), and from the documentation of parameters; no line of the applet is used. It
-states what the parameters mean, not the formulas; those below are this law's.
+commit 09b33ef0, as in 4.7, and from the documentation of parameters; no line of the applet is used.
+It states what the parameters mean, not the formulas; those below are this law's.
 
 - The target is the leader's position with FOLL_OFS_X, _Y and _Z along its heading, at its altitude:
   q_s, the scenario's slot, level and along the leader's course.

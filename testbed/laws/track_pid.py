@@ -1,4 +1,4 @@
-"""PID on the errors along and across the leader's track, and on height, in fly-by-wire A.
+"""PID along and across the track, and on height.
 
 What is flown by hobbyists, with the gains in three loops that share nothing: throttle closes the
 error along the track, bank the error across it, pitch the error of height. With the slot's

@@ -7,6 +7,7 @@ import pytest
 from commands import call_command
 
 import testbed
+from testbed.core.code_digest import code_digest
 from testbed.core.errors import InputError
 from testbed.flight.control import law_file
 from testbed.plan.user_code import import_code
@@ -166,3 +167,15 @@ def test_options_reach_the_check_as_the_kernel_has_them(tmp_path):
     (tmp_path / "mine.py").write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match=r"roll is 1\.0 for"):
         build(load_scenario(scenario(tmp_path, "{law: 'mine:ruled', options: {roll: 1}}")))
+
+
+def test_code_that_imports_a_law_has_its_digest():
+    """Other code of the testbed counts by its name; the folder of machine code is of its text."""
+
+    def digest(module, number):
+        names = {"__name__": module}
+        exec(f"def gain():\n    return {number}\n", names)
+        return code_digest(names["gain"])
+
+    assert digest("testbed.laws.mine", 1.0) != digest("testbed.laws.mine", 2.0)
+    assert digest("testbed.core.mine", 1.0) == digest("testbed.core.mine", 2.0)
