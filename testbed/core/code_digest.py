@@ -14,6 +14,7 @@ import numpy as np
 # Packages whose text does not change with a user's code. The machine code is in a folder of the
 # testbed's own text, and numba discards that of its other versions.
 _FIXED = ("builtins", "math", "cmath", "numba", "numpy", "testbed")
+_LAWS = "testbed.laws."  # but for those of the library, which are no part of that text
 _NUMBERS = (bool, int, float, complex, str, bytes, type(None), np.generic, np.dtype)
 
 
@@ -120,7 +121,8 @@ def _fixed_name(value: Any) -> str | None:  # noqa: ANN401
         name = f"{module}.{value.__qualname__}"
     else:
         return None
-    return name if module.partition(".")[0] in _FIXED else None
+    fixed = module.partition(".")[0] in _FIXED and not module.startswith(_LAWS)
+    return name if fixed else None
 
 
 def names_in_kernel(function: Callable[..., Any]) -> set[str]:

@@ -1,4 +1,4 @@
-"""Virtual structure: consensus on where the structure is, and tracking of the own place in it.
+"""Consensus on a virtual structure, and tracking.
 
 Each follower has an estimate of its own of the structure, a frame that moves with the leader, and
 sends it with its messages [RB04]. Estimates follow those of the leader and of the neighbours that
@@ -96,9 +96,9 @@ def virtual_structure(
     inbox: Inbox,
     memory: np.record,
     config: FollowerConfig,
-    consensus_per_s: float = 1.0,
-    closing_per_s: float = 0.4,
-    closing_limit_mps: float = 3.0,
+    consensus_per_s: float = 4.0,
+    closing_per_s: float = 0.8,
+    closing_limit_mps: float = 9.8,
 ) -> UnicycleCommand:
     """Return the command of one follower."""
     aircraft = len(inbox.received_s)
