@@ -84,7 +84,7 @@ def leader_follower(
     memory: None,
     config: FollowerConfig,
     closing_per_s: float = 0.8,
-    closing_limit_mps: float = 3.4,
+    closing_limit_mps: float = 10.0,
 ) -> UnicycleCommand:
     """Return the command of one follower."""
     age = now - inbox.received_s[0]

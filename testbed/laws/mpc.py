@@ -9,6 +9,7 @@ held over the horizon of N = 20 steps of T, the quadratic program
 
 x and v are the own position and velocity minus the slot's, a the own acceleration minus the slot's,
 which follows the command u with the lag τ: (2) is ẋ = v, v̇ = a, τ ȧ = u − a, sampled with u held.
+Larger errors of position count as ±`error_limit_m`, as (1) knows no bounds of the speed.
 (3) bounds the acceleration of slot and correction together, per axis. P is the solution of the
 algebraic Riccati equation of (1) and (2), by structured doubling, so without active bounds the plan
 is that of the infinite horizon [RMD17]. The program is solved by Nesterov's fast gradient method
@@ -19,9 +20,9 @@ with projection on (3) [N83, RJM12]:
 
 in `iterations` steps from the plan of the control step before, moved on by dt. h_x and h_v are the
 impulse responses of x and v over the horizon: L bounds half the largest eigenvalue of the Hessian.
-The first acceleration of the plan becomes the desired velocity, `lead_s` ahead:
+The first acceleration of the plan becomes a desired velocity, t_l = `lead_s` ahead:
 
-    p = v_own + t_l (a_s + u₀),  ṗ = a_s + u₀                                           (6)
+    p = v_own + t_l u₀,  ṗ = a_s + u₀                                                   (6)
 
 The acceleration a is that of the model, driven by the own commands: that of the sensors is noisy.
 
@@ -228,12 +229,13 @@ def mpc(
     config: FollowerConfig,
     step_s: float = 0.2,
     iterations: int = 12,
-    position_weight: float = 38.5,
-    velocity_weight: float = 0.091,
+    position_weight: float = 20.0,
+    velocity_weight: float = 0.3,
     input_weight: float = 0.3,
-    lag_s: float = 0.174,
-    limits_mps2: tuple[float, float, float] = (2.0, 8.0, 2.5),
-    lead_s: float = 0.39,
+    lag_s: float = 0.25,
+    limits_mps2: tuple[float, float, float] = (4.0, 12.0, 4.0),
+    error_limit_m: float = 8.0,
+    lead_s: float = 0.6,
 ) -> UnicycleCommand:
     """Return the command of one follower."""
     age = now - inbox.received_s[0]
@@ -256,9 +258,10 @@ def mpc(
     correction = np.zeros(3)
     for i in range(3):
         along = np.sum(axes[i] * acceleration)
+        error = np.sum(axes[i] * (own.position_ned - position))
         start = np.array(
             [
-                np.sum(axes[i] * (own.position_ned - position)),
+                min(max(error, -error_limit_m), error_limit_m),
                 np.sum(axes[i] * (own.velocity_ned - velocity)),
                 np.sum(axes[i] * memory.relative_ned),
             ]
@@ -274,5 +277,5 @@ def mpc(
         correction += plan[0] * axes[i]
     decay = np.exp(-config.dt / lag_s)
     memory.relative_ned[:] = decay * memory.relative_ned + (1.0 - decay) * correction
-    command = acceleration + correction
-    return command_from_velocity(config, own, own.velocity_ned + lead_s * command, command)
+    desired = own.velocity_ned + lead_s * correction
+    return command_from_velocity(config, own, desired, acceleration + correction)

@@ -98,7 +98,7 @@ def virtual_structure(
     config: FollowerConfig,
     consensus_per_s: float = 4.0,
     closing_per_s: float = 0.8,
-    closing_limit_mps: float = 9.8,
+    closing_limit_mps: float = 10.0,
 ) -> UnicycleCommand:
     """Return the command of one follower."""
     aircraft = len(inbox.received_s)

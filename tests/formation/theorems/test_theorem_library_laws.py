@@ -413,7 +413,8 @@ def plans(law, config, offsets):
 
 
 OFFSETS = np.array([[0.3, -0.2, 0.1], [4.0, -6.0, 3.0], [-15.0, 25.0, -8.0]])
-BOUNDS = (2.0, 8.0, 2.5)  # m/s², the defaults
+BOUNDS = (4.0, 12.0, 4.0)  # m/s², the defaults
+ERROR_LIMIT = 8.0  # m
 
 
 def test_mpc_plan_is_that_of_a_qp_solver():
@@ -422,7 +423,7 @@ def test_mpc_plan_is_that_of_a_qp_solver():
     many, few = (plans(*mpc_of(count, step), OFFSETS) for count in (200, 12))
     bounded = 0
     for i, axis in np.ndindex(3, 3):
-        start = np.array([OFFSETS[i, axis], 0.0, 0.0])
+        start = np.array([np.clip(OFFSETS[i, axis], -ERROR_LIMIT, ERROR_LIMIT), 0.0, 0.0])
         f, g = program(step, start)
         best = lsq_linear(f, g, (-BOUNDS[axis], BOUNDS[axis]), tol=1e-12)
         assert best.success
@@ -431,7 +432,7 @@ def test_mpc_plan_is_that_of_a_qp_solver():
         bounded += np.isclose(abs(few[i, axis]), BOUNDS[axis]).any()
         for plan, count in ((many, 200), (few, 12)):
             assert -1e-6 <= excess(f, g, plan[i, axis], best.x, count) <= 1.0
-    assert bounded >= 4
+    assert bounded >= 2
 
 
 def excess(f, g, plan, best, iterations):
@@ -517,4 +518,4 @@ def test_mpc_is_the_lqr_where_no_bound_acts():
     limits = np.array(BOUNDS)
     assert (abs(inputs) <= limits + 1e-12).all()
     assert np.isclose(abs(inputs[0, 2]), limits).all()
-    assert (abs(gain[0, 0] * starts[2]) > limits).all()  # what no bound would have commanded
+    assert (gain[0, 0] * ERROR_LIMIT > limits).all()  # what no bound would have commanded
