@@ -17,7 +17,7 @@ the age of the message; υ is the slot's offset; the columns of R are the axes f
 down of the leader's velocity frame, and ω is its angular velocity, without roll. κ is
 `closing_per_s`, v_c `closing_limit_mps`.
 
-Hypotheses: each follower hears the leader; κ > 0, v_c > 0, κ dt < 1. Property: where the velocity
+Hypotheses: gains for the leader; κ > 0, v_c > 0, κ dt < 1. Property: where the velocity
 is tracked, ė = −f κ e. The error decays monotonically, a small one as exp(−κ t), a large one at
 v_c at most.
 
@@ -45,7 +45,7 @@ def requires(config: FormationConfig, closing_per_s: float, closing_limit_mps: f
     for name, gains in zip(config.names, config.gains, strict=True):
         if not (gains[0, :2] > 0.0).all():
             raise ValueError(
-                f"{name} does not hear the leader (write a positive formation.leader_gains of it)"
+                f"{name} has no gain for the leader (write one in formation.leader_gains)"
             )
     if not 0.0 < closing_per_s < 1.0 / config.dt:
         raise ValueError(

@@ -26,7 +26,7 @@ The first acceleration of the plan becomes a desired velocity, t_l = `lead_s` ah
 
 The acceleration a is that of the model, driven by the own commands: that of the sensors is noisy.
 
-Hypotheses: each follower hears the leader; weights, lag, limits and lead positive; dt ≤ T ≤ 1 s;
+Hypotheses: gains for the leader; weights, lag, limits and lead positive; dt ≤ T ≤ 1 s;
 1 to 200 iterations. Property, on (2): converged and without active bounds, u₀ = −K s, the linear
 quadratic regulator; u is within (3) always. The plans of neighbours are in no message, so this is a
 decentralised MPC.
@@ -63,7 +63,7 @@ def requires(
     for name, gains in zip(config.names, config.gains, strict=True):
         if not (gains[0, :2] > 0.0).all():
             raise ValueError(
-                f"{name} does not hear the leader (write a positive formation.leader_gains of it)"
+                f"{name} has no gain for the leader (write one in formation.leader_gains)"
             )
     if len(limits_mps2) != 3 or min(limits_mps2) <= 0.0:
         raise ValueError(f"limits_mps2 is {limits_mps2} (write three above 0)")

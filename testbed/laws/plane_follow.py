@@ -37,7 +37,7 @@ What stands in for ArduPlane's own loops, which are not the applet's:
 (6) and (7) are in place of TECS; `height_s` is its TECS_TIME_CONST, ḣ_c within ±5 m/s as by
 TECS_CLMB_MAX and TECS_SINK_MAX.
 
-Hypotheses: each follower hears the leader; no gain is negative, and `heading_p`, `distance_p`,
+Hypotheses: gains for the leader; no gain is negative, and `heading_p`, `distance_p`,
 `throttle_p`, `height_s`, `lookahead_s`, `close_m` > 0. Property: (5) has no integral, so in a
 steady turn at χ̇ the heading is behind the commanded one by arctan(χ̇ V / g) / `heading_p`, 52° at
 45° of bank with the default of 4.7; on a straight path with a constant error of the speed the
@@ -57,7 +57,7 @@ def requires(config: FormationConfig, **options: float) -> None:
     for name, gains in zip(config.names, config.gains, strict=True):
         if not (gains[0, :2] > 0.0).all():
             raise ValueError(
-                f"{name} does not hear the leader (write a positive formation.leader_gains of it)"
+                f"{name} has no gain for the leader (write one in formation.leader_gains)"
             )
     positive = "heading_p distance_p throttle_p height_s lookahead_s close_m"
     for name, value in options.items():

@@ -17,7 +17,7 @@ within 15 m (throttle: inside its limits) and are bounded. Source: the PID of an
 K. J. Åström, T. Hägglund: Advanced PID Control, ISA 2006; the choice of errors is that of
 trajectory tracking by fixed-wing autopilots.
 
-Hypotheses: each follower hears the leader; no gain is negative, K_a, K_v, K_c, D_c, K_h > 0;
+Hypotheses: gains for the leader; no gain is negative, K_a, K_v, K_c, D_c, K_h > 0;
 g K_c D_c > I_c, so that the lateral loop is stable by the criterion of Routh. Property, on the
 linear model ÿ = g φ, ḣ = V θ, V̇ = T (δ − δ_trim): the error across the track follows
 s³ + g D_c s² + g K_c s + g I_c = 0, and with I_c > 0 a constant disturbance of the bank leaves no
@@ -46,7 +46,7 @@ def requires(config: FormationConfig, **options: float) -> None:
     for name, gains in zip(config.names, config.gains, strict=True):
         if not (gains[0, :2] > 0.0).all():
             raise ValueError(
-                f"{name} does not hear the leader (write a positive formation.leader_gains of it)"
+                f"{name} has no gain for the leader (write one in formation.leader_gains)"
             )
     for name, value in options.items():
         if value < 0.0:

@@ -115,9 +115,9 @@ def virtual_structure(
         at, towards = inbox.position_ned[j], inbox.velocity_ned[j]
         change = inbox.acceleration_ned[j]
         if j > 0:
-            told = inbox.payload[j]
-            at, towards, change = told[0:3], told[3:6], told[6:9]
-            age += inbox.stamp_s[j] - told[9]
+            content = inbox.payload[j]
+            at, towards, change = content[0:3], content[3:6], content[6:9]
+            age += inbox.stamp_s[j] - content[9]
             if not np.sum(towards**2) > 0.0:  # it has no estimate
                 continue
         positions[j] = at + age * (towards + 0.5 * age * change)

@@ -103,12 +103,12 @@ def test_hypotheses_on_options_are_checked(law, options, text):
 
 
 @pytest.mark.parametrize("law", ["leader-follower", "track-pid", "plane-follow", "mpc"])
-def test_followers_of_the_leader_hear_it(law):
+def test_followers_have_a_gain_for_the_leader(law):
     """Simulation 1 has a follower that receives from others alone."""
     scenario = load_scenario("simulation-3", [f"controller.law={law}"])
     assert not build(scenario).unused
     gains = "formation.leader_gains={uav1: 1, uav2: 1}"
-    assert "uav3 does not hear the leader (write a" in errors(f"controller.law={law}", gains)
+    assert "uav3 has no gain for the leader (write one" in errors(f"controller.law={law}", gains)
 
 
 def test_a_virtual_structure_needs_a_path_from_the_leader():
