@@ -229,13 +229,13 @@ def mpc(
     config: FollowerConfig,
     step_s: float = 0.2,
     iterations: int = 12,
-    position_weight: float = 20.0,
-    velocity_weight: float = 0.3,
+    position_weight: float = 43.0,
+    velocity_weight: float = 0.055,
     input_weight: float = 0.3,
-    lag_s: float = 0.25,
+    lag_s: float = 0.05,
     limits_mps2: tuple[float, float, float] = (4.0, 12.0, 4.0),
     error_limit_m: float = 8.0,
-    lead_s: float = 0.6,
+    lead_s: float = 0.316,
 ) -> UnicycleCommand:
     """Return the command of one follower."""
     age = now - inbox.received_s[0]
