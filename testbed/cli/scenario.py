@@ -15,6 +15,7 @@ from testbed.cli.options import JsonFile
 from testbed.cli.output import PipeSafeConsole, result_console, write_json_output
 from testbed.core.errors import InputError
 from testbed.core.files import format_bytes
+from testbed.core.input_files import read_bounded
 from testbed.scenario.control import BUILT_IN
 
 # What each scenario shows, in at most 36 characters, which leave the table within 80 columns.
@@ -322,7 +323,7 @@ def _law_subjects() -> list[tuple[str, str]]:
 
     found = [(BUILT_IN, "the paper's law")]
     for name in list_laws():
-        text = ast.get_docstring(ast.parse(find_law(name).read_text("utf-8"))) or ""
+        text = ast.get_docstring(ast.parse(read_bounded(find_law(name)))) or ""
         found.append((name, text.partition("\n")[0].rstrip(".")))
     return found
 

@@ -111,7 +111,7 @@ def test_followers_have_a_gain_for_the_leader(law):
     assert "uav3 has no gain for the leader (write one" in errors(f"controller.law={law}", gains)
 
 
-def test_a_virtual_structure_needs_a_path_from_the_leader():
+def test_virtual_structure_needs_a_path_of_gains():
     law, first = "controller.law=virtual-structure", "formation.leader_gains={uav1: 1}"
     build(load_scenario("simulation-3", [law, first]))  # uav3 from uav2, uav2 from uav1
     group = build(load_scenario("simulation-3", [law])).formation.control.groups[0]
@@ -160,7 +160,7 @@ def test_hypotheses_are_of_all_followers_at_once():
     assert [len(group.rows) for group in groups] == [1, 1, 1]
 
 
-def test_options_reach_the_check_as_the_kernel_has_them(tmp_path):
+def test_checked_options_are_those_of_the_kernel(tmp_path):
     """A float where 1 is written, an integer where it is one, and options at their defaults."""
     types = "    assert (type(roll), type(turns)) == (float, int)\n"
     text = RULED.replace("    if roll > 0.5:", f"{types}    if roll > 0.5:")

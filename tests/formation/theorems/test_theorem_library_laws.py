@@ -129,7 +129,7 @@ def test_leader_follower_closes_as_its_equation():
     assert (closed > 0.0).all() and (closed <= LIMIT * DT).all()
 
 
-def test_leader_follower_without_the_turn_keeps_an_error():
+def test_leader_follower_needs_the_lever_arm():
     """Planted: the lever arm ω × R υ is missing; what remains is |ω × R υ| / √(κ² + ω²)."""
     turn = 0.3
     found = closed_errors(np.zeros((3, 3)), turn=turn, turn_known=False, until=20.0, limit=100.0)
@@ -175,7 +175,7 @@ def estimates(errors, changes=(), *, heard=True, until=8.0, inferred_from=None):
     return np.array(found), config
 
 
-def test_estimates_agree_at_the_rate_of_the_laplacian():
+def test_estimates_agree_at_the_laplacians_rate():
     """The error is (I − κ dt (L + B))^k of the first, and its slowest part decays with λ."""
     first = np.array([3.0, -2.0, 5.0])
     found, config = estimates(first)
@@ -192,7 +192,7 @@ def test_estimates_agree_at_the_rate_of_the_laplacian():
     np.testing.assert_allclose(found[24], expm(-CONSENSUS * times[24] * matrix) @ first, atol=0.05)
 
 
-def test_estimates_without_the_leader_agree_with_lambda_2():
+def test_estimates_alone_agree_with_lambda_2():
     """Their mean stays, and the differences from it decay with λ₂ of the Laplacian."""
     first = np.array([4.0, -2.0, 1.0])
     found, config = estimates(first, [f"formation.neighbour_gains={ALL}"], heard=False, until=4.0)
@@ -332,7 +332,7 @@ def test_plane_follow_integral_removes_the_distance():
     np.testing.assert_allclose(found[1], lack / gains["distance_p"], rtol=0.02)
 
 
-def test_plane_follow_holds_its_track_in_a_known_wind():
+def test_plane_follow_holds_its_track_in_wind():
     """Planted: in a wind of which nothing is known it flies beside the track."""
     wind = (0.0, 6.0, 0.0)
     drifts = []
