@@ -206,7 +206,7 @@ def test_estimates_alone_agree_with_lambda_2():
     assert rate == pytest.approx(CONSENSUS * second, rel=0.06)  # of dt κ λ₂ / 2, sampled
 
 
-def test_estimates_inferred_from_positions_do_not_agree():
+def test_inferred_estimates_do_not_agree():
     """Planted: where a neighbour that is 3 m off its place stands for its estimate, errors stay."""
     off = np.array([[3.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
     found, config = estimates(np.zeros(3), until=10.0, inferred_from=off)
