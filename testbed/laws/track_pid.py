@@ -12,10 +12,11 @@ leader's course and to its right, e = q_s − q and d = v_s − v:
 
 V and V_s are horizontal speeds, V_c within the bounds of the speed over the ground; h = −e·down is
 the height missing, γ_s = climb of the slot over V_s, χ̇ the leader's course rate. F is
-`feed_forward`: 1 adds bank and climb of the leader, 0 leaves them to the errors. Integrals run
-within 15 m (throttle: inside its limits) and are bounded. Source: the PID of any textbook, as
-K. J. Åström, T. Hägglund: Advanced PID Control, ISA 2006; the choice of errors is that of
-trajectory tracking by fixed-wing autopilots.
+`feed_forward`: 1 adds bank and climb of the leader, 0 leaves them to the errors. Errors across and
+of height count up to `cross_limit_m` and `height_limit_m`, which bounds the angle of an intercept.
+Integrals run within 15 m (throttle: inside its limits) and are bounded. Source: the PID of any
+textbook, as K. J. Åström, T. Hägglund: Advanced PID Control, ISA 2006; the choice of errors is that
+of trajectory tracking by fixed-wing autopilots.
 
 Hypotheses: gains for the leader; no gain is negative, K_a, K_v, K_c, D_c, K_h > 0;
 g K_c D_c > I_c, so that the lateral loop is stable by the criterion of Routh. Property, on the
@@ -51,7 +52,8 @@ def requires(config: FormationConfig, **options: float) -> None:
     for name, value in options.items():
         if value < 0.0:
             raise ValueError(f"{name} is {value:g} (write 0 or more)")
-    for name in ("along_p", "speed_p", "cross_p", "cross_d", "height_p"):
+    limits = "cross_limit_m", "height_limit_m"
+    for name in ("along_p", "speed_p", "cross_p", "cross_d", "height_p", *limits):
         if options[name] == 0.0:
             raise ValueError(f"{name} is 0 (write more)")
     largest = GRAVITY * options["cross_p"] * options["cross_d"]
@@ -113,6 +115,8 @@ def track_pid(
     height_p: float = 0.126,
     height_i: float = 0.011,
     height_d: float = 0.0087,
+    cross_limit_m: float = 6.0,
+    height_limit_m: float = 2.0,
     feed_forward: float = 1.0,
 ) -> FbwaCommand[float]:
     """Return the command of one follower."""
@@ -138,8 +142,14 @@ def track_pid(
     speed_error = min(max(speed, low), high) - ground
     throttle = config.trim_throttle + speed_p * speed_error + speed_i * memory.speed_m
     bank = feed_forward * np.arctan(course_rate * ground / GRAVITY)
-    roll = bank + cross_p * cross + cross_i * memory.cross_ms + cross_d * cross_rate
-    pitch = feed_forward * -slot_velocity[2] / wanted + height_p * height + height_d * climb
+    roll = (
+        bank
+        + cross_p * clip(cross, cross_limit_m)
+        + cross_i * memory.cross_ms
+        + cross_d * cross_rate
+    )
+    pitch = feed_forward * -slot_velocity[2] / wanted + height_p * clip(height, height_limit_m)
+    pitch += height_d * climb
     pitch += height_i * memory.height_ms
 
     if abs(along) < WINDUP_M and low < speed < high:
