@@ -20,9 +20,10 @@ with projection on (3) [N83, RJM12]:
 
 in `iterations` steps from the plan of the control step before, moved on by dt. h_x and h_v are the
 impulse responses of x and v over the horizon: L bounds half the largest eigenvalue of the Hessian.
-The first acceleration of the plan becomes a desired velocity, t_l = `lead_s` ahead:
+The first acceleration of the plan becomes a desired velocity, t_l = `lead_s` ahead, of which a
+share μ = `slot_share` is the slot's, so that it does not drift with a disturbed own velocity v_o:
 
-    p = v_own + t_l u₀,  ṗ = a_s + u₀                                                   (6)
+    p = v_o + μ (v_s − v_o) + t_l u₀,  ṗ = a_s + u₀                                     (6)
 
 The acceleration a is that of the model, driven by the own commands: that of the sensors is noisy.
 
@@ -70,8 +71,10 @@ def requires(
     if not 1 <= iterations <= 200 or iterations != int(iterations):
         raise ValueError(f"iterations is {iterations} (write 1 to 200)")
     for name, value in options.items():
-        if not value > 0.0:
+        if not value > 0.0 and name != "slot_share":
             raise ValueError(f"{name} is {value:g} (write more than 0)")
+    if not 0.0 <= options["slot_share"] <= 1.0:
+        raise ValueError(f"slot_share is {options['slot_share']:g} (write 0 to 1)")
     if not config.dt <= options["step_s"] <= 1.0:
         raise ValueError(f"step_s is {options['step_s']:g} (write dt, {config.dt:g}, to 1 s)")
 
@@ -234,7 +237,8 @@ def mpc(
     input_weight: float = 0.3,
     lag_s: float = 0.05,
     limits_mps2: tuple[float, float, float] = (4.0, 12.0, 4.0),
-    error_limit_m: float = 8.0,
+    error_limit_m: float = 4.0,
+    slot_share: float = 0.3,
     lead_s: float = 0.316,
 ) -> UnicycleCommand:
     """Return the command of one follower."""
@@ -277,5 +281,5 @@ def mpc(
         correction += plan[0] * axes[i]
     decay = np.exp(-config.dt / lag_s)
     memory.relative_ned[:] = decay * memory.relative_ned + (1.0 - decay) * correction
-    desired = own.velocity_ned + lead_s * correction
+    desired = own.velocity_ned + slot_share * (velocity - own.velocity_ned) + lead_s * correction
     return command_from_velocity(config, own, desired, acceleration + correction)

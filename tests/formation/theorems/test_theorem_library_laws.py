@@ -368,7 +368,8 @@ WEIGHTS = {"position_weight": 4.0, "velocity_weight": 0.5, "input_weight": 0.3, 
 
 def mpc_of(iterations, step_s):
     options = ", ".join(f"{key}: {value}" for key, value in WEIGHTS.items())
-    return law_of("mpc", f"{{iterations: {iterations}, step_s: {step_s}, {options}}}")
+    options += f", iterations: {iterations}, step_s: {step_s}, limits_mps2: [2.0, 8.0, 2.5]"
+    return law_of("mpc", f"{{{options}, error_limit_m: {ERROR_LIMIT}}}")
 
 
 def sampled_model(step):
@@ -413,8 +414,8 @@ def plans(law, config, offsets):
 
 
 OFFSETS = np.array([[0.3, -0.2, 0.1], [4.0, -6.0, 3.0], [-15.0, 25.0, -8.0]])
-BOUNDS = (4.0, 12.0, 4.0)  # m/s², the defaults
-ERROR_LIMIT = 8.0  # m
+BOUNDS = (2.0, 8.0, 2.5)  # m/s²
+ERROR_LIMIT = 4.0  # m
 
 
 def test_mpc_plan_is_that_of_a_qp_solver():
