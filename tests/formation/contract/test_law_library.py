@@ -93,6 +93,7 @@ def test_a_wrong_name_names_the_nearest():
         ("mpc", "{iterations: 0}", "iterations is 0 (write 1 to 200)"),
         ("mpc", "{limits_mps2: [1, 2]}", "limits_mps2 is (1.0, 2.0) (write three above 0)"),
         ("mpc", "{input_weight: 0}", "input_weight is 0 (write more than 0)"),
+        ("mpc", "{slot_share: 2.0}", "slot_share is 2 (write 0 to 1)"),
     ],
 )
 def test_hypotheses_on_options_are_checked(law, options, text):
