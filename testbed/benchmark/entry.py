@@ -17,6 +17,7 @@ from pydantic import Field, model_validator
 from testbed.core.errors import InputError
 from testbed.core.input_files import read_bounded
 from testbed.scenario import find_code
+from testbed.scenario.control import BUILT_IN
 from testbed.scenario.fields import Finding, Flag, Name, Number, Section, Whole, raise_findings
 from testbed.scenario.validate import validate
 from testbed.scenario.yaml_io import read
@@ -63,7 +64,7 @@ class EntryFile(Section):
         ]
         for key, bounds in self.tune.items():
             start = self.set.get(key) if bounds.start is None else bounds.start
-            if start is None or isinstance(start, tuple):
+            if start is None or isinstance(start, tuple | str):
                 findings.append((("tune", key, "start"), "is needed (write where a search begins)"))
             elif not bounds.low <= start <= bounds.high or bounds.low == bounds.high:
                 findings.append((("tune", key), f"does not have {start:g} between its bounds"))
@@ -215,7 +216,7 @@ def open_entries(words: Iterable[str], settings: Iterable[Path] = ()) -> list[En
 
 def _open_shipped(name: str) -> Entry:
     file = validate(read(ENTRIES / f"{name}.yaml"), ShippedEntry)
-    if ":" not in file.law:
+    if file.law == BUILT_IN:
         return Entry(file.entry.name, EntryLaw(file.law), file.set, file.tune)
     path, _, _ = find_code(file.law).rpartition(":")
     found = Path(path)
