@@ -26,7 +26,7 @@ from testbed.cli.exit_codes import ExitCode
 from testbed.cli.main import app
 from testbed.cli.scenario import FIRST, FIRST_STUDIES, GROUPS, STUDIES, TUNES
 from testbed.logs.file_record import RECORD_NAME
-from testbed.scenario import list_scenarios, list_studies, list_tunings
+from testbed.scenario import list_laws, list_scenarios, list_studies, list_tunings
 
 ENV = environment(120)
 COMMANDS = tuple(typer.main.get_command(app).commands)
@@ -113,6 +113,9 @@ def test_command_alone_in_a_process_prints_the_same(tmp_path, arguments):
     assert alone.stdout
 
 
+LAWS = ("hbh23", *list_laws())
+
+
 def listed_names(lines):
     return [line.split()[0] for line in lines if line[:1].islower() and "  " in line]
 
@@ -123,7 +126,7 @@ def test_list_has_a_dozen_scenarios(tmp_path):
     assert lines[lines.index("scenarios (testbed run)") + 1].startswith("simulation-3 ")
     assert max(map(len, lines)) <= 80
     assert not [line for line in lines if line.startswith(" ")]  # each in one line
-    assert listed_names(lines) == [*FIRST, *FIRST_STUDIES, *list_tunings()]
+    assert listed_names(lines) == [*FIRST, *FIRST_STUDIES, *list_tunings(), *LAWS]
     assert len(FIRST) == 12
     assert "rascal110" in lines
     scenarios, studies = len(list_scenarios()) - 12, len(list_studies()) - 2
@@ -138,7 +141,7 @@ def test_list_all_has_every_name(tmp_path):
     assert all(line[:1].islower() for line in lines[first + 1 : lines.index("", first)])
     assert max(map(len, lines)) <= 80
     assert not [line for line in lines if line.startswith(" ")]  # each in one line
-    names = [*list_scenarios(), *list_studies(), *list_tunings()]
+    names = [*list_scenarios(), *list_studies(), *list_tunings(), *LAWS]
     assert sorted(listed_names(lines)) == sorted(names)
     assert "rascal110" in lines
     for words in (("packet-loss-30",), ("--runs",)):
