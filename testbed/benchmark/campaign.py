@@ -17,7 +17,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from testbed.benchmark.cell import FAILED, CellKey, fly_cell, lost_numbers
+from testbed.benchmark.cell import FAILED, CellKey, find_mistake, fly_cell, lost_numbers
 from testbed.benchmark.entry import Entry, EntryLaw
 from testbed.benchmark.gain_search import BUDGET, MAX_TIMEOUTS, tune_entry
 from testbed.benchmark.limited_flight import LIMITS, FlightLimits
@@ -160,6 +160,8 @@ def fly_campaign(
     store = _Kept(campaign.folder, shared)
     cells = campaign.cells()
     total = sum(len(cells) + (campaign.budget if entry.tune else 0) for entry in campaign.entries)
+    for entry in campaign.entries:
+        _check_entry(entry, campaign)
     with open_flight_pool(jobs=campaign.jobs, report=report) as pool:
         flights = _CampaignFlights(campaign, pool, total, progress, report)
         tunings = {each.name: _tune(each, flights, store, report) for each in campaign.entries}
@@ -194,6 +196,21 @@ def fly_campaign(
             )
         )
     return results
+
+
+def _check_entry(entry: Entry, campaign: Campaign) -> None:
+    """Check that an entry can be flown, before any flight.
+
+    Raises:
+        InputError: law or settings have a mistake.
+    """
+    settings = {**entry.set, **dict(zip(entry.tune, entry.starts, strict=True))}
+    first = campaign.cells()[0]
+    mistake = find_mistake(
+        first, entry.law, settings, folder=campaign.tasks, limits=campaign.limits
+    )
+    if mistake:
+        raise InputError(f"{entry.name}: {mistake}")
 
 
 def entry_record(entry: Entry, tuning: TuningRecord | None) -> EntryRecord:

@@ -19,7 +19,9 @@ from testbed.benchmark.draws import DrawnFlight, task_scenario
 from testbed.benchmark.entry import EntryLaw
 from testbed.benchmark.limited_flight import LIMITS, FlightLimits, run_limited
 from testbed.benchmark.task import WINDOW, load_benchmark
+from testbed.core.errors import InputError
 from testbed.metrics.document import exceedances, losses
+from testbed.plan.world import build
 from testbed.runs.run import run
 from testbed.scenario import Scenario, set_duration
 
@@ -49,6 +51,7 @@ def fly_cell(
     *,
     folder: Path | None = None,
     limits: FlightLimits = LIMITS,
+    log: Path | None = None,
 ) -> dict[str, Any]:
     """Fly one cell in a process of its own, and return its numbers.
 
@@ -58,12 +61,14 @@ def fly_cell(
         settings: of the entry, keys of the scenario.
         folder: of the benchmark; None: the one that comes with the testbed.
         limits: of the process.
+        log: folder in which a folder of the flight gets its log; None: nothing is written.
 
     Returns:
         The keys of `CellRecord`, and `cpu_s`; see `result`.
     """
     _warm(key.task, folder)
-    found = run_limited(lambda place: _fly(key, law, settings, folder, place), limits)
+    out = None if log is None else log.absolute() / str(key).replace("/", "-")
+    found = run_limited(lambda place: _fly(key, law, settings, folder, place, out), limits)
     head = {"task": key.task, "level": key.level, "seed": key.seed}
     numbers = _checked(found.value)
     if numbers is None:
@@ -74,6 +79,31 @@ def fly_cell(
         why = f"{failure}: {text}"
         numbers = {**lost_numbers(), "outcome": FAILED, "failure": failure, "why": why[:_MAX_WHY]}
     return {**head, **numbers, "cpu_s": round(found.cpu_s, 3)}
+
+
+def find_mistake(
+    key: CellKey,
+    law: EntryLaw,
+    settings: Mapping[str, Any],
+    *,
+    folder: Path | None = None,
+    limits: FlightLimits = LIMITS,
+) -> str:
+    """Return why a law cannot be flown with settings, as `testbed validate` says it; "": it can.
+
+    It is loaded and checked in a process of its own. One that does not end there fails in flight.
+    The arguments are those of `fly_cell`.
+    """
+
+    def check(place: Path) -> str:
+        try:
+            build(_scenario(key, law, settings, folder, place)[0], in_process=True)
+        except InputError as error:
+            return str(error)
+        return ""
+
+    found = run_limited(check, limits)
+    return found.value if isinstance(found.value, str) else ""
 
 
 def lost_numbers() -> dict[str, Any]:
@@ -89,11 +119,24 @@ def lost_numbers() -> dict[str, Any]:
 
 
 def _fly(
-    key: CellKey, law: EntryLaw, settings: Mapping[str, Any], folder: Path | None, place: Path
+    key: CellKey,
+    law: EntryLaw,
+    settings: Mapping[str, Any],
+    folder: Path | None,
+    place: Path,
+    out: Path | None,
 ) -> dict[str, Any]:
+    scenario, drawn = _scenario(key, law, settings, folder, place)
+    flown = run(scenario, write=out is not None, out=out, progress=False)
+    return cell_numbers(flown.metrics, drawn)
+
+
+def _scenario(
+    key: CellKey, law: EntryLaw, settings: Mapping[str, Any], folder: Path | None, place: Path
+) -> tuple[Scenario, DrawnFlight]:
     law.check()
     benchmark = load_benchmark(folder)
-    scenario, drawn = task_scenario(
+    return task_scenario(
         benchmark.name,
         benchmark.task(key.task),
         key.level,
@@ -101,7 +144,6 @@ def _fly(
         settings={"controller.law": law.reference, **settings},
         folder=place,
     )
-    return cell_numbers(run(scenario, write=False, progress=False).metrics, drawn)
 
 
 @cache

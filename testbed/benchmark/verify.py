@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from testbed.benchmark.campaign import conditions
@@ -98,9 +99,19 @@ def repeat_cells(
     *,
     benchmark: Benchmark,
     jobs: int | None = None,
+    log: Path | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[RepeatedCell]:
     """Fly flights of a result again; `check_law` and `check_present` come first.
+
+    Args:
+        result: of an entry.
+        law: its code.
+        keys: of the flights.
+        benchmark: the tasks.
+        jobs: processes; None: one for each processor.
+        log: folder in which each flight gets one with its log; None: nothing is written.
+        progress: called with the numbers of flights done and of all.
 
     Raises:
         InputError: the result has no such flight.
@@ -112,7 +123,7 @@ def repeat_cells(
             raise InputError(f"--cell {key}: {result.entry.name} has no such flight")
     scenario = load_scenario(next(iter(benchmark.tasks.values())).path)
     tasks = (
-        FlightTask(k, scenario, measure=partial(_measure, key, law, result.gains))
+        FlightTask(k, scenario, measure=partial(_measure, key, law, result.gains, log))
         for k, key in enumerate(keys)
     )
     found: dict[int, RepeatedCell] = {}
@@ -135,6 +146,7 @@ def _measure(
     key: CellKey,
     law: EntryLaw,
     gains: Settings,
+    log: Path | None,
     scenario: Scenario,
 ) -> dict[str, Any]:
-    return fly_cell(key, law, gains)
+    return fly_cell(key, law, gains, log=log)

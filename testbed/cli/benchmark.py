@@ -170,6 +170,13 @@ def benchmark_verify_command(
         int | None,
         value_option("N", "Seed of the drawn flights.  \\[default: random, and printed]"),
     ] = None,
+    log: Annotated[
+        Path | None,
+        value_option(
+            "DIR",
+            "Keep the logs of these flights in folders in DIR: DIR/wind-2-7, for `testbed view`.",
+        ),
+    ] = None,
     jobs: Jobs = None,
     json: JsonFile = None,
 ) -> None:
@@ -203,7 +210,7 @@ def benchmark_verify_command(
         messages.write_line(f" {len(keys)} of {len(found.cells)} flights, --sample {seed}")
     with progress_counter("flights", rate="flights") as progress:
         repeated = repeat_cells(
-            found, named, keys, benchmark=benchmark, jobs=jobs, progress=progress
+            found, named, keys, benchmark=benchmark, jobs=jobs, log=log, progress=progress
         )
     console = result_console(json)
     for each in repeated:

@@ -69,11 +69,12 @@ def new_law_command(
         ),
     ] = None,
 ) -> None:
-    """Make a law of your own that flies: a kernel, a scenario, a study and a notebook.
+    """Make a law of your own that flies: a kernel, a scenario, a study, an entry and a notebook.
 
     The kernel is a leader-follower law of 20 lines, or a law of the library, to be changed. The
-    scenario flies it on Simulation 3, the study compares it with the paper's law over 20 seeds, and
-    the notebook goes from the flight to a figure and margins.
+    scenario flies it on Simulation 3, the study compares it with the paper's law over 20 seeds, the
+    entry has what `testbed benchmark` tunes, and the notebook goes from the flight to a figure and
+    margins.
     """
     check_law_name(name)
     target = Path(name) if into is None else into
@@ -81,12 +82,14 @@ def new_law_command(
         f"{name}.py": "law.py",
         f"{name}.yaml": "law.yaml",
         f"{name}-study.yaml": "law-study.yaml",
+        f"{name}-entry.yaml": "law-entry.yaml",
         f"{name}.ipynb": "law.ipynb",
     }
     texts = {file: filled_template(each, {"NAME": name}) for file, each in templates.items()}
     if begin_with is not None:
         texts[f"{name}.py"] = _renamed_law(begin_with, name)
         texts[f"{name}.yaml"] = texts[f"{name}.yaml"].replace(_OPTIONS, "")
+        texts[f"{name}-entry.yaml"] = _renamed_entry(begin_with, name)
     with report_write_errors(f"--into {target}" if into else target), new_folder(target) as folder:
         folder.mkdir()
         for file, text in texts.items():
@@ -98,6 +101,16 @@ def new_law_command(
     console.write_line(f"       testbed run {target / name}.yaml")
     console.write_line(f"       testbed margins {target / name}.yaml")
     console.write_line(f"       testbed sweep {target / name}-study.yaml")
+    entered = f"{target / name}.py:{name} --entry {target / name}-entry.yaml"
+    console.write_line(f"       testbed benchmark {entered} hbh23")
+
+
+def _renamed_entry(law: str, name: str) -> str:
+    """Return what of a law of the library is tuned in the benchmark, for a law of another name."""
+    from testbed.benchmark.entry import ENTRIES
+
+    _, text = (ENTRIES / f"{law}.yaml").read_text("utf-8").split("\n\n", 1)
+    return text.replace(f"name: {law}}}", f"name: {name}}}").replace(f"law: {law}\n", "")
 
 
 def _renamed_law(law: str, name: str) -> str:

@@ -315,6 +315,7 @@ def _repeat(found: Row) -> str:
     ]
     commands = "\n".join(each["command"] for each in found["entries"])
     return (
-        f"<p>One flight of an entry, CELL is task/level/seed:</p><pre>{escape(commands)}</pre>"
+        "<p>One flight of an entry, where its result and the file of its law are; CELL is "
+        f"task/level/seed, and --log DIR keeps its log:</p><pre>{escape(commands)}</pre>"
         f"{rows_to_html(rows)}"
     )

@@ -237,14 +237,37 @@ def test_a_digest_that_lies_runs_nothing(results, tmp_path):
 
 def test_the_first_failure_is_told_at_once(pool, tasks, tmp_path):
     """Of each law once, with its reason: a wrong option is seen before all flights have failed."""
-    words = [write_law(tmp_path / "bad.py", top="raise ValueError('no')")]
+    words = [write_law(tmp_path / "bad.py", step="if now > 1.0: raise ValueError('no')")]
     lines = []
     found = fly(words, tmp_path / "out", tasks, only=("gentle",), report=lines.append)["Law"]
     assert {each.failure for each in found.cells} == {"exception"}
     (told,) = [line for line in lines if "the first flight that fails" in line]
     assert "gentle/1/1: exception: " in told
-    assert "bad.py:4: the law raised ValueError: no" in told
+    assert "bad.py:14: the law raised ValueError: no" in told
     assert not [each.why for each in found.cells if str(tmp_path) in each.why]
+
+
+@pytest.mark.parametrize(
+    ("law", "function", "entry", "reason"),
+    [
+        ({"top": "raise ValueError('no')"}, "Law", "", r"bad\.py:4: the law raised ValueError: no"),
+        ({}, "Lay", "", r"has no class 'Lay'.*it has Law"),
+        ({}, "Law", "set: {controller.options.rol: 1}", "unexpected keyword argument 'rol'"),
+        (
+            {},
+            "Law",
+            "tune: {controller.options.rol: {from: 0, to: 1, start: 0}, "
+            "controller.options.roll: {from: 0, to: 1, start: 0}}",
+            "unexpected keyword argument 'rol'",
+        ),
+    ],
+)
+def test_mistakes_are_told_before_any_flight(pool, tasks, tmp_path, law, function, entry, reason):
+    word = write_law(tmp_path / "bad.py", **law).rpartition(":")[0]
+    (tmp_path / "bad.yaml").write_text(f"entry: {{schema: 1, name: bad}}\n{entry}\n")
+    with pytest.raises(InputError, match=f"bad: .*{reason}"):
+        fly([f"{word}:{function}"], tmp_path / "out", tasks, settings=[tmp_path / "bad.yaml"])
+    assert not pool.flown
 
 
 def test_a_file_that_changes_meanwhile_fails(results, tasks, tmp_path):

@@ -6,6 +6,7 @@ import matplotlib
 import pytest
 from commands import call_command
 
+from testbed.benchmark.entry import open_entries
 from testbed.plan.world import build
 from testbed.scenario import find_law, load_scenario
 from testbed.studies.plan import load_study
@@ -20,9 +21,11 @@ def folder(tmp_path_factory):
 
 def test_new_law_has_files_that_load(folder):
     files = {each.name for each in (folder / "mine").iterdir()}
-    assert files == {"mine.py", "mine.yaml", "mine-study.yaml", "mine.ipynb"}
+    assert files == {"mine.py", "mine.yaml", "mine-study.yaml", "mine-entry.yaml", "mine.ipynb"}
     study = load_study(folder / "mine" / "mine-study.yaml").config
     assert len(study.study.seeds) == 20 and set(study.cases) == {"paper", "mine"}
+    [entry] = open_entries([f"{folder}/mine/mine.py:mine"], [folder / "mine" / "mine-entry.yaml"])
+    assert entry.name == "mine" and len(entry.tune) == 2
     for file in files:
         assert "NAME" not in (folder / "mine" / file).read_text()
 
@@ -38,6 +41,9 @@ def test_new_law_begins_with_one_of_the_library(tmp_path):
     scenario = load_scenario(tmp_path / "mine" / "mine.yaml")
     assert scenario.controller.law.endswith("mine.py:mine") and not scenario.controller.options
     build(scenario)
+    law = f"{tmp_path}/mine/mine.py:mine"
+    [entry] = open_entries([law], [tmp_path / "mine" / "mine-entry.yaml"])
+    assert entry.name == "mine" and "controller.options.consensus_per_s" in entry.tune
 
 
 def test_new_notebook_runs_from_law_to_figure(folder, monkeypatch, capsys):
