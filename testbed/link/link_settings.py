@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from testbed.core.errors import InputError
 from testbed.scenario import Scenario
+from testbed.scenario.arguments import with_changes
 from testbed.scenario.link_file import FRAMES, LinkFile, Position
 from testbed.scenario.network import Network
 from testbed.scenario.problems import did_you_mean
@@ -97,5 +98,4 @@ def _ordered(network: Network, names: Sequence[str]) -> Network:
     tdma = network.tdma
     if tdma is None or tdma.order is not None:
         return network
-    ordered = tdma.model_copy(update={"order": tuple(names)})
-    return network.model_copy(update={"tdma": ordered})
+    return with_changes(network, tdma=with_changes(tdma, order=tuple(names)))

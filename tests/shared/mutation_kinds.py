@@ -410,5 +410,5 @@ KINDS = {
     "aircraft": Kind(8, copied(AIRCRAFT, only=by_suffix(".xml")), feed_aircraft),
     "logs": Kind(12, make_log, feed_log),
     "results": Kind(12, make_study, feed_result),
-    "benchmarks": Kind(12, make_benchmark, feed_benchmark),
+    "benchmarks": Kind(30, make_benchmark, feed_benchmark),
 }

@@ -233,9 +233,12 @@ def test_bits_have_names(flight, table):
     with pytest.raises(KeyError, match="state_roll_rad is a number, without bits; formation_limi"):
         flight.flags("state_roll_rad")
     attributes = flight.to_xarray()["formation_limiter_bits"].attrs
-    assert attributes["flag_masks"] == "1 2 4 8"
+    masks = "1 2 4 8 16 32 64"
+    assert attributes["flag_masks"] == masks
     assert attributes["flag_meanings"].split()[3] == "leader_timeout"
-    assert table.schema.field("formation_limiter_bits").metadata[b"flag_masks"] == b"1 2 4 8"
+    assert (
+        table.schema.field("formation_limiter_bits").metadata[b"flag_masks"] == b"1 2 4 8 16 32 64"
+    )
     assert "flag_masks" not in flight.to_xarray()["state_roll_rad"].attrs
     text = (ROOT / "docs" / "export.md").read_text("utf-8")
     for kind in (LimiterFlag, Saturation):

@@ -32,6 +32,7 @@ def document(**rows):
         "least_margins": {"factor": 2.0, "phase_deg": 30.0, "damping": 0.0},
         "energy": [],
         "parameters": [],
+        "compared": [],
         "not_said": ["the weather"],
         "code": "testbed",
         "command": "testbed assess",
