@@ -2,7 +2,8 @@
 
 ArduPlane flies in GUIDED; the applet commands a heading, an airspeed and an altitude. Written from
 the applet's documentation alone, libraries/AP_Scripting/applets/plane_follow.md of ArduPilot at
-commit 09b33ef0, as in 4.7, and from the documentation of parameters; no line of the applet is used.
+commit 09b33ef0, some time after 4.7, with which the applet came, and from the documentation of
+parameters; no line of the applet is used.
 It states what the parameters mean, not the formulas; those below are this law's.
 
 - The target is the leader's position with FOLL_OFS_X, _Y and _Z along its heading, at its altitude:
