@@ -22,6 +22,7 @@ from testbed.cli.options import (
 from testbed.cli.output import (
     PipeSafeConsole,
     describe_file,
+    find_folder,
     message_console,
     result_console,
     write_json_output,
@@ -108,7 +109,7 @@ def assess_command(
             tuple(param or ()),
         )
         name = assessed.scenario().name
-        folder = find_folder(name, out, resume=resume)
+        folder = find_folder("assessment", name, out, resume=resume, holds="rows")
         check_folder_output(folder, (PAGE, DOCUMENT), "assess")
         try:
             found = assess(
@@ -135,28 +136,6 @@ def assess_command(
         for each in parameters:
             console.write_line(f" parameters  {describe_file(each)}")
     raise typer.Exit(ExitCode.DIFFERENT if found["verdict"] == "no-go" else ExitCode.OK)
-
-
-def find_folder(name: str, out: Path | None, *, resume: bool) -> Path:
-    """Return the folder of an assessment: a new one, or one with rows.
-
-    Raises:
-        InputError: it cannot be created, or there is none to resume.
-    """
-    from testbed.core.errors import InputError
-    from testbed.logs.run_directory import LOGS, create_run_directory, folder_name
-
-    folders = LOGS / "assessments"
-    if not resume:
-        return create_run_directory(name, out=out, logs=folders)
-    if out is not None:
-        if not out.is_dir():
-            raise InputError(f"--out {out}: there is no such folder to resume (leave --resume out)")
-        return out
-    known = sorted((folders / folder_name(name)).glob("*/rows"))
-    if not known:
-        raise InputError(f"--resume: {folders} has no assessment of {name} (leave --resume out)")
-    return known[-1].parent
 
 
 def _print(found: Mapping[str, Any], console: PipeSafeConsole) -> None:

@@ -14,6 +14,7 @@ from testbed.cli.options import Jobs, JsonFile, Quiet, output_option, require_po
 from testbed.cli.output import (
     PipeSafeConsole,
     describe_file,
+    find_folder,
     message_console,
     result_console,
     write_json_output,
@@ -115,7 +116,8 @@ def benchmark_fly_command(
     else:
         seeds = pulse_seeds(benchmark, entries, read_pulse(pulse))
     messages = message_console()
-    folder = _find_folder(BENCHMARK.replace(" ", "-"), out, resume=resume)
+    name = BENCHMARK.replace(" ", "-")
+    folder = find_folder("benchmark", name, out, resume=resume, holds="kept")
     check_folder_output(folder, (PAGE, DOCUMENT), "benchmark")
     messages.write_line(f" {benchmark.name}, SHA-256 {benchmark.digest}")
     for each in entries:
@@ -283,28 +285,6 @@ def _read_cell(text: str) -> CellKey:
     if level is None or seed is None or rest.count("/") != 1:
         raise InputError(f"--cell {text[:40]}: write task/level/seed, such as wind/2/7")
     return CellKey(name, level, seed)
-
-
-def _find_folder(name: str, out: Path | None, *, resume: bool) -> Path:
-    """Return the folder of a benchmark: a new one, or one to continue.
-
-    Raises:
-        InputError: it cannot be created, or there is none to resume.
-    """
-    from testbed.core.errors import InputError
-    from testbed.logs.run_directory import LOGS, create_run_directory, folder_name
-
-    folders = LOGS / "benchmarks"
-    if not resume:
-        return create_run_directory(name, out=out, logs=folders)
-    if out is not None:
-        if not out.is_dir():
-            raise InputError(f"--out {out}: there is no such folder to resume (leave --resume out)")
-        return out
-    known = sorted((folders / folder_name(name)).glob("*/kept"))
-    if not known:
-        raise InputError(f"--resume: {folders} has no benchmark (leave --resume out)")
-    return known[-1].parent
 
 
 def _write_page(found: dict[str, Any], page: Path) -> None:

@@ -251,3 +251,31 @@ def write_json_output(path: Path | None, document: Mapping[str, Any]) -> None:
         data = to_json(document).encode("utf-8", "backslashreplace")
         with open_output(path, "--json") as file:
             file.write(data)
+
+
+def find_folder(kind: str, name: str, out: Path | None, *, resume: bool, holds: str) -> Path:
+    """Return the folder of work that can be resumed: a new one, or one that has a part of it.
+
+    Args:
+        kind: what it is, such as assessment; all are in `logs/assessments`.
+        name: of what is done.
+        out: of --out; None: the newest of this name, or a new one.
+        resume: continue in a folder.
+        holds: the folder in it that work in part has.
+
+    Raises:
+        InputError: it cannot be created, or there is none to resume.
+    """
+    from testbed.logs.run_directory import LOGS, create_run_directory, folder_name
+
+    folders = LOGS / f"{kind}s"
+    if not resume:
+        return create_run_directory(name, out=out, logs=folders)
+    if out is not None:
+        if not out.is_dir():
+            raise InputError(f"--out {out}: there is no such folder to resume (leave --resume out)")
+        return out
+    known = sorted((folders / folder_name(name)).glob(f"*/{holds}"))
+    if not known:
+        raise InputError(f"--resume: {folders} has no {kind} of {name} (leave --resume out)")
+    return known[-1].parent

@@ -44,7 +44,7 @@ INSIDE = int(LimiterFlag.INSIDE_SEPARATION_MARGIN)
 SWEEPS = 3
 TOLERANCE = 0.05  # m/s, of a bound after the last sweep
 TURN = 2.0  # m/s, speed to the right of the line between two that approach each other
-# of its own share the climb, up for the aircraft of the lower row
+# vertical speed beside it, as a share of it; up for the aircraft of the lower row
 CLIMB_OF_TURN = 0.5
 APPROACH = 0.1  # m/s, from which the other approaches
 LEAST_FACING = 0.2  # cosine between velocity and desired one, from which ẏ_d is known
