@@ -97,7 +97,7 @@ def _horizontal(vectors: Array) -> Array:
 
 
 def _bits(words: str, name: str) -> PlottedQuantity:
-    """Make the quantity of a set of bits, whose words name the value of each bit."""
+    """Make the quantity of a set of bits; its title has the value and the name of each bit."""
     bits = QUANTITIES[name].bits
     assert bits is not None
     values = zip(bits, flag_names(bits), strict=True)
