@@ -24,7 +24,7 @@ MAKEFLAGS += --no-print-directory
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test checks warm-sensors warm-flights warm-tests lint types tests clients check-all train bench rates results predictions delay numbers arduplane netem fly docs release audit newest lock clean
+.PHONY: help environment setup run test checks warm-sensors warm-flights warm-tests lint types tests clients check-all train bench rates results predictions delay numbers arduplane netem fly docs release audit newest lock clean
 
 help:
 	@sed -n 's/^# \{0,1\}//p' Makefile | sed -n '1,4p'
@@ -40,7 +40,7 @@ run: $(COMPILED)
 # fly nothing.
 # PART=network: the tests of this package alone.
 test:
-	@$(if $(PART),,$(MAKE) -j 3 checks warm-sensors warm-flights $(if $(wildcard tests/__pycache__),,warm-tests))
+	@$(if $(PART),,$(MAKE) -j 3 clients checks warm-sensors warm-flights $(if $(wildcard tests/__pycache__),,warm-tests))
 	@$(MAKE) tests
 
 checks: lint types
@@ -192,8 +192,8 @@ lock:
 clean:
 	@rm -rf $(VENV) $(CLIENTS) $(TRAINING) $(TOOLS) build dist .mypy_cache .pytest_cache .ruff_cache
 
-$(STAMP): requirements.lock pyproject.toml
-	@echo "install: the pinned packages into $(VENV); once, a minute or more" >&2
+# Made anew where its Python is gone or too old.
+environment:
 	@set -e; \
 	fits='import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 15))'; \
 	if ! $(BIN)/python -c "$$fits" 2>/dev/null; then \
@@ -207,13 +207,17 @@ $(STAMP): requirements.lock pyproject.toml
 		"$$found" -m venv --clear $(VENV) || { \
 			echo "$$found cannot make environments: on Debian, apt-get install python3-venv" >&2; \
 			exit 2; }; \
-	fi; \
-	$(BIN)/python release/install.py requirements.lock \
-		$(BIN)/python -m pip install --disable-pip-version-check \
-		--require-hashes -r requirements.lock; \
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check \
-		--no-deps --no-build-isolation --editable .; \
-	touch $(STAMP)
+	fi
+
+# The lock file is complete (--no-deps). Modules are compiled when they are first imported, most never.
+$(STAMP): requirements.lock pyproject.toml | environment
+	@echo "install: the pinned packages into $(VENV); once, a minute or more" >&2
+	@$(BIN)/python release/install.py requirements.lock \
+		$(BIN)/python -m pip install --disable-pip-version-check --no-compile --no-deps \
+		--require-hashes -r requirements.lock
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check \
+		--no-deps --no-build-isolation --editable .
+	@touch $(STAMP)
 
 # What flights need is compiled before the first one, which then takes a second.
 $(COMPILED): $(STAMP)
@@ -221,10 +225,10 @@ $(COMPILED): $(STAMP)
 	@$(BIN)/python tests/warm.py first
 	@touch $(COMPILED)
 
-$(CLIENTS_STAMP): tests/clients/requirements.lock | $(STAMP)
+$(CLIENTS_STAMP): tests/clients/requirements.lock | environment
 	@echo "Installing the MAVLink clients of the tests into $(CLIENTS); once, a minute"
 	@$(BIN)/python -m venv --clear $(CLIENTS)
-	@$(CLIENTS)/bin/python -m pip install --quiet --disable-pip-version-check \
+	@$(CLIENTS)/bin/python -m pip install --quiet --disable-pip-version-check --no-compile \
 		--no-deps --require-hashes -r tests/clients/requirements.lock
 	@touch $(CLIENTS_STAMP)
 

@@ -45,7 +45,7 @@ UIntArray = NDArray[np.uint32]
 Indices = NDArray[np.intp]  # row numbers
 Vectors: TypeAlias = Annotated[Array, 3]  # three numbers for each element
 
-Records = NDArray[Any]  # a structured array
+Records: TypeAlias = Any  # a structured array
 # What kernels take and give; numba infers the types.
 Record: TypeAlias = Any  # one element of a structured array, its fields as attributes
 Vector: TypeAlias = Any  # three numbers: a tuple, or a field of a record

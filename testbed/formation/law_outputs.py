@@ -174,7 +174,8 @@ def outputs_of(law: Any) -> Outputs:  # noqa: ANN401 - of any type
 
 def memory_words(memory: Records) -> np.ndarray:
     """View memories (n,) as words of 8 bytes (n, W)."""
-    return memory.view(np.ndarray).view(np.uint64).reshape(len(memory), -1)
+    words: np.ndarray = memory.view(np.ndarray).view(np.uint64).reshape(len(memory), -1)
+    return words
 
 
 def _memory_dtype(value: Any) -> np.dtype[Any]:  # noqa: ANN401
