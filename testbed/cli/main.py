@@ -70,6 +70,7 @@ PANELS: Final[Mapping[str, Mapping[str, str]]] = {
         "import": "flight_logs",
         "import-formation": "flight_logs",
         "arduplane": "arduplane",
+        "fmu": "fmu",
     },
     "CI": {"check": "check"},
 }

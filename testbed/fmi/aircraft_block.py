@@ -159,11 +159,8 @@ def make_block(
 
 def field_offsets(dtype: np.dtype[Any], base: int = 0, prefix: str = "") -> Iterator[Any]:
     """Yield the dotted name, the offset in bytes and the count of each field of numbers."""
-    for name in dtype.names or ():
-        kind, at = (dtype.fields or {})[name][:2]
+    for name, (kind, at, *_) in (dtype.fields or {}).items():
         if kind.names:
             yield from field_offsets(kind, base + at, f"{prefix}{name}.")
         else:
             yield f"{prefix}{name}", base + at, math.prod(kind.shape)
-
-

@@ -16,7 +16,7 @@ import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -144,8 +144,10 @@ def make_fmu(wanted: AircraftFmu, report: Report = lambda text: None) -> Written
     for target, command in compilers.items():
         report(f"link for {target}")
         kind = targets()[target]
-        library = _build(native, header, kind, command)
-        members[f"binaries/{kind.folder}/{name}{kind.suffix}"] = library
+        library = f"{name}{kind.suffix}"
+        members[f"binaries/{kind.folder}/{library}"] = _build(
+            native, header, kind, command, library
+        )
     members |= _documentation(wanted, engine.reasons, variables)
     data, sizes = _archive(members)
     libraries = {each: sizes[each] for each in sizes if each.startswith("binaries/")}
@@ -240,9 +242,9 @@ def _array(declaration: str, values: Sequence[str]) -> str:
 
 
 def _build(
-    native: NativeModule, header: str, target: Target, command: tuple[str, ...]
+    native: NativeModule, header: str, target: Target, command: tuple[str, ...], name: str
 ) -> bytes:
-    """Return the library of a target."""
+    """Return the library of a target, which is linked by its name."""
     libraries = list[bytes]()
     for k, triple in enumerate(target.triples):
         with tempfile.TemporaryDirectory(prefix="testbed-fmu-") as place:
@@ -252,7 +254,7 @@ def _build(
             sources[1].write_bytes(native.object_code(triple))
             (folder / "model.h").write_text(header, "utf-8")
             for_target = ("-target", target.zig[k]) if target.zig else ()
-            library = folder / f"library{target.suffix}"
+            library = folder / name
             link_library((*command, *for_target), sources, library)
             libraries.append(library.read_bytes())
     return libraries[0] if len(libraries) == 1 else _universal(target.triples, libraries)

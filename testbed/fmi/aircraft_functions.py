@@ -10,8 +10,9 @@ from collections.abc import Callable
 from math import asin, cos, sin, sqrt
 from typing import Any, NamedTuple
 
+import numba
 import numpy as np
-from numba import carray, types
+from numba import types
 from numba.extending import intrinsic
 
 from testbed.autopilot.fbwa import GAINS, MEMORY, fly_by_wire_a
@@ -33,7 +34,17 @@ from testbed.core.compile import kernel
 from testbed.core.copies import copy_motion
 from testbed.core.frames import FOOT, rotation_rows
 from testbed.core.geodetic import RADIANS, LocalFrame, local_frame, to_geodetic
-from testbed.core.records import AIRCRAFT, Array, NedOrigin, Record, Values
+from testbed.core.records import (
+    AIRCRAFT,
+    Array,
+    BoolArray,
+    ByteArray,
+    Indices,
+    NedOrigin,
+    Record,
+    Records,
+    Values,
+)
 from testbed.fmi.aircraft_block import PLACING, START
 from testbed.vehicle.jsbsim_io import (
     lead_controls,
@@ -50,6 +61,7 @@ STRONG_WIND = 4  # at the start: no course through the air gives that over the g
 
 _pointer: Any = types.voidptr
 _intrinsic: Any = intrinsic
+_carray: Any = numba.carray  # type: ignore[attr-defined]
 _POSITION, _VELOCITY, _ATTITUDE = COLUMN["position"], COLUMN["velocity"], COLUMN["attitude"]
 _RATES, _WIND, _EARTH_ANGLE = COLUMN["rates"], COLUMN["wind"], COLUMN["earth_angle"]
 _RATIO_2 = (SEMI_MINOR / SEMI_MAJOR) ** 2
@@ -57,13 +69,39 @@ _RATES_DOT, _UVW_DOT = COLUMN["rates_dot"], COLUMN["uvw_dot"]
 
 
 class BlockFunctions(NamedTuple):
-    """Functions of a block, in Python, for numba."""
+    """Functions of a pointer to a block, in Python, for numba; they return a status."""
 
     place: Callable[[Any], int]
     fly: Callable[[Any], int]
 
 
-@_intrinsic
+class _Views(NamedTuple):
+    """The fields of a block as arrays of one aircraft."""
+
+    aircraft: Records  # (1,) of AIRCRAFT
+    row: Array  # (1, S)
+    wind: Array  # (1, 7)
+    controls: Array  # (1, 4), as the next three
+    lead: Array
+    last: Array
+    first: Array
+    numbers: Array  # (1, 17)
+    air_columns: Indices  # (5,)
+    air: Array  # (1, 5)
+    gains: Records  # (1,) of GAINS
+    memory: Records  # (1,) of MEMORY
+    delay_line: Array  # (1, P, 3)
+    start: Records  # (1,) of START
+    placing: Records  # (1,) of PLACING
+    lowest: Array  # (1,)
+    only: Indices  # (1,) 0
+    steps: Indices  # (1,)
+    placing_steps: Indices  # (2,)
+    changed: BoolArray  # (2,)
+    status: ByteArray  # (1,)
+
+
+@_intrinsic  # type: ignore[untyped-decorator]
 def _at(typing: Any, block: Any, offset: Any) -> Any:  # noqa: ANN401 - numba's
     """Point to the byte of a block at an offset."""
 
@@ -71,6 +109,48 @@ def _at(typing: Any, block: Any, offset: Any) -> Any:  # noqa: ANN401 - numba's
         return builder.gep(args[0], [args[1]], inbounds=True)
 
     return _pointer(_pointer, types.intp), make
+
+
+def _make_views(block: np.dtype[Any]) -> Callable[[Any], _Views]:
+    """Return the kernel that views a block of this type."""
+    at = {name: block.fields[name][1] for name in block.names or ()} if block.fields else {}
+    aircraft, row, wind = at["aircraft"], at["row"], at["wind_numbers"]
+    controls, lead, last = at["controls"], at["lead"], at["last_controls"]
+    first, numbers = at["first_controls"], at["numbers"]
+    air_columns, air = at["air_columns"], at["air_numbers"]
+    gains, memory, delay_line = at["gains"], at["memory"], at["delay_line"]
+    start, placing, lowest = at["start"], at["placing"], at["lowest_m"]
+    only, steps, placing_steps = at["only"], at["steps"], at["placing_steps"]
+    changed, status = at["changed"], at["status"]
+    columns, periods = block["row"].shape[0], block["delay_line"].shape[0]
+
+    @kernel
+    def view(block: Any) -> _Views:  # noqa: ANN401 - an address
+        return _Views(
+            _carray(_at(block, aircraft), (1,), AIRCRAFT),
+            _carray(_at(block, row), (1, columns), np.float64),
+            _carray(_at(block, wind), (1, 7), np.float64),
+            _carray(_at(block, controls), (1, 4), np.float64),
+            _carray(_at(block, lead), (1, 4), np.float64),
+            _carray(_at(block, last), (1, 4), np.float64),
+            _carray(_at(block, first), (1, 4), np.float64),
+            _carray(_at(block, numbers), (1, 17), np.float64),
+            _carray(_at(block, air_columns), (5,), np.intp),
+            _carray(_at(block, air), (1, 5), np.float64),
+            _carray(_at(block, gains), (1,), GAINS),
+            _carray(_at(block, memory), (1,), MEMORY),
+            _carray(_at(block, delay_line), (1, periods, 3), np.float64),
+            _carray(_at(block, start), (1,), START),
+            _carray(_at(block, placing), (1,), PLACING),
+            _carray(_at(block, lowest), (1,), np.float64),
+            _carray(_at(block, only), (1,), np.intp),
+            _carray(_at(block, steps), (1,), np.intp),
+            _carray(_at(block, placing_steps), (2,), np.intp),
+            _carray(_at(block, changed), (2,), np.bool_),
+            _carray(_at(block, status), (1,), np.uint8),
+        )
+
+    return view
 
 
 def make_functions(
@@ -84,102 +164,64 @@ def make_functions(
         origin: of the local frame.
         physics_hz: steps of the flight model per second.
     """
-    at = {name: (block.fields or {})[name][1] for name in block.names or ()}
-    aircraft_at, row_at, wind_at = at["aircraft"], at["row"], at["wind_numbers"]
-    controls_at, lead_at, last_at = at["controls"], at["lead"], at["last_controls"]
-    first_at, numbers_at, air_at = at["first_controls"], at["numbers"], at["air_numbers"]
-    columns_at, gains_at, memory_at = at["air_columns"], at["gains"], at["memory"]
-    delay_at, start_at, placing_at = at["delay_line"], at["start"], at["placing"]
-    only_at, steps_at, placing_steps_at = at["only"], at["steps"], at["placing_steps"]
-    changed_at, status_at, lowest_at = at["changed"], at["status"], at["lowest_m"]
-    columns, periods = block["row"].shape[0], block["delay_line"].shape[0]
-    run_rows, dt = aircraft.run_rows, 1.0 / physics_hz
+    view, run_rows, dt = _make_views(block), aircraft.run_rows, 1.0 / physics_hz
     frame = tuple(local_frame(origin, RADIANS))
     newest, older, attitude_older = _memory_columns(aircraft)
     remembered, turned = len(newest), len(attitude_older)
 
     def place(block: Any) -> int:  # noqa: ANN401 - an address
-        own = carray(_at(block, aircraft_at), (1,), AIRCRAFT)
-        row = carray(_at(block, row_at), (1, columns), np.float64)
-        wind = carray(_at(block, wind_at), (1, 7), np.float64)
-        controls = carray(_at(block, controls_at), (1, 4), np.float64)
-        first = carray(_at(block, first_at), (1, 4), np.float64)
-        numbers = carray(_at(block, numbers_at), (1, 17), np.float64)
-        air_columns = carray(_at(block, columns_at), (5,), np.intp)
-        air = carray(_at(block, air_at), (1, 5), np.float64)
-        start = carray(_at(block, start_at), (1,), START)
-        placing = carray(_at(block, placing_at), (1,), PLACING)
-        lowest = carray(_at(block, lowest_at), (1,), np.float64)
-        only = carray(_at(block, only_at), (1,), np.intp)
-        once = carray(_at(block, placing_steps_at), (1,), np.intp)
-        settle = carray(_at(block, placing_steps_at + 8), (1,), np.intp)
-        changed = carray(_at(block, changed_at), (2,), np.bool_)
-        status = carray(_at(block, status_at), (1,), np.uint8)
-        s, q, p = start[0], row[0], placing[0]
-        w = own[0].wind.wind_ned
-        windy = w[0] != 0.0 or w[1] != 0.0 or w[2] != 0.0
-        moved = s.course != 0.0
-        for axis in range(3):
-            moved = moved or s.position_ned[axis] != p.position_ned[axis]
-        if not -s.position_ned[2] >= lowest[0]:
+        v = view(block)
+        start, placing, q = v.start[0], v.placing[0], v.row[0]
+        wind, course = v.aircraft[0].wind.wind_ned, start.course
+        if not -start.position_ned[2] >= v.lowest[0]:
             return GROUND
-        if moved or windy:
-            across = w[1] * cos(s.course) - w[0] * sin(s.course)
-            along = w[0] * cos(s.course) + w[1] * sin(s.course)
-            square = p.level_speed * p.level_speed - across * across
+        windy = wind[0] != 0.0 or wind[1] != 0.0 or wind[2] != 0.0
+        moved = course != 0.0
+        for axis in range(3):
+            moved = moved or start.position_ned[axis] != placing.position_ned[axis]
+        if moved or windy:  # else the row is that of JSBSim, to the bit
+            across = wind[1] * cos(course) - wind[0] * sin(course)
+            along = wind[0] * cos(course) + wind[1] * sin(course)
+            square = placing.level_speed * placing.level_speed - across * across
             if not square > 0.0 or along + sqrt(square) <= 0.0:
                 return STRONG_WIND
-            yaw = s.course - asin(across / p.level_speed) + p.yaw
-            _write_start(row, s, p, w, yaw, frame, numbers[0])
-            run_rows(row, wind, controls, first, changed, 0.0, once, only, status)
+            yaw = course - asin(across / placing.level_speed) + placing.yaw
+            _write_start(v.row, start, placing, wind, yaw, frame, v.numbers[0])
+            # twice, as JSBSim does: memories have the derivatives of the first evaluation
+            once, settle = v.placing_steps[:1], v.placing_steps[1:]
+            inputs = v.wind, v.controls, v.first, v.changed
+            run_rows(v.row, *inputs, 0.0, once, v.only, v.status)
             for k in range(remembered):
                 q[older[k]] = q[newest[k]]
-            d = attitude_rate(
-                (q[_ATTITUDE], q[_ATTITUDE + 1], q[_ATTITUDE + 2], q[_ATTITUDE + 3]),
-                (q[_RATES], q[_RATES + 1], q[_RATES + 2]),
-            )
+            attitude = q[_ATTITUDE], q[_ATTITUDE + 1], q[_ATTITUDE + 2], q[_ATTITUDE + 3]
+            rate = attitude_rate(attitude, (q[_RATES], q[_RATES + 1], q[_RATES + 2]))
             for k in range(turned):
-                q[attitude_older[k]] = d[k % 4]
-            run_rows(row, wind, controls, first, changed, 0.0, once, only, status)
+                q[attitude_older[k]] = rate[k % 4]
+            run_rows(v.row, *inputs, 0.0, once, v.only, v.status)
             for axis in range(3):
-                q[_WIND + axis] = w[axis] / FOOT
+                q[_WIND + axis] = wind[axis] / FOOT
             if windy:
-                run_rows(row, wind, controls, first, changed, NO_TIME, settle, only, status)
-            if status[0] != 0:
-                return int(status[0])
-        _write_outputs(row, only, numbers, frame, own, air_columns, air)
+                run_rows(v.row, *inputs, NO_TIME, settle, v.only, v.status)
+            if v.status[0] != 0:
+                return int(v.status[0])
+        _write_outputs(v, frame)
         return 0
 
     def fly(block: Any) -> int:  # noqa: ANN401 - an address
-        own = carray(_at(block, aircraft_at), (1,), AIRCRAFT)
-        row = carray(_at(block, row_at), (1, columns), np.float64)
-        wind = carray(_at(block, wind_at), (1, 7), np.float64)
-        controls = carray(_at(block, controls_at), (1, 4), np.float64)
-        lead = carray(_at(block, lead_at), (1, 4), np.float64)
-        last = carray(_at(block, last_at), (1, 4), np.float64)
-        first = carray(_at(block, first_at), (1, 4), np.float64)
-        numbers = carray(_at(block, numbers_at), (1, 17), np.float64)
-        air_columns = carray(_at(block, columns_at), (5,), np.intp)
-        air = carray(_at(block, air_at), (1, 5), np.float64)
-        gains = carray(_at(block, gains_at), (1,), GAINS)
-        memory = carray(_at(block, memory_at), (1,), MEMORY)
-        delay_line = carray(_at(block, delay_at), (1, periods, 3), np.float64)
-        lowest = carray(_at(block, lowest_at), (1,), np.float64)
-        only = carray(_at(block, only_at), (1,), np.intp)
-        steps = carray(_at(block, steps_at), (1,), np.intp)
-        changed = carray(_at(block, changed_at), (2,), np.bool_)
-        status = carray(_at(block, status_at), (1,), np.uint8)
-        copy_motion(own[0].truth, own[0].estimate)
-        pack_wind(only, own, wind, changed)
-        fly_by_wire_a(only, gains, memory, delay_line, own)
-        pack_surfaces(only, own, controls, changed)
-        lead_controls(controls, lead, last, first, only)
-        run_rows(row, wind, controls, first, changed, dt, steps, only, status)
-        changed[0] = changed[1] = False
-        if status[0] != 0:
-            return int(status[0])
-        _write_outputs(row, only, numbers, frame, own, air_columns, air)
-        if not -own[0].truth.position_ned[2] >= lowest[0]:
+        v = view(block)
+        own = v.aircraft[0]
+        copy_motion(own.truth, own.estimate)
+        pack_wind(v.only, v.aircraft, v.wind, v.changed)
+        fly_by_wire_a(v.only, v.gains, v.memory, v.delay_line, v.aircraft)
+        pack_surfaces(v.only, v.aircraft, v.controls, v.changed)
+        lead_controls(v.controls, v.lead, v.last, v.first, v.only)
+        inputs = v.wind, v.controls, v.first, v.changed
+        run_rows(v.row, *inputs, dt, v.steps, v.only, v.status)
+        v.changed[:] = False
+        if v.status[0] != 0:
+            return int(v.status[0])
+        _write_outputs(v, frame)
+        if not -own.truth.position_ned[2] >= v.lowest[0]:
             return GROUND
         return 0
 
@@ -201,20 +243,12 @@ def _memory_columns(aircraft: CompiledAircraft) -> tuple[tuple[int, ...], ...]:
 
 
 @kernel
-def _write_outputs(
-    row: Array,
-    only: Array,
-    numbers: Array,
-    frame: Values,
-    own: Record,
-    air_columns: Array,
-    air: Array,
-) -> None:
+def _write_outputs(v: _Views, frame: Values) -> None:
     """Write motion and air data of the aircraft from its row."""
-    write_motion(row, only, numbers)
-    write_truth(only, numbers, frame, own, only)
-    write_air_numbers(row, only, air_columns, air)
-    write_air(only, air, own)
+    write_motion(v.row, v.only, v.numbers)
+    write_truth(v.only, v.numbers, frame, v.aircraft, v.only)
+    write_air_numbers(v.row, v.only, v.air_columns, v.air)
+    write_air(v.only, v.air, v.aircraft)
 
 
 @kernel

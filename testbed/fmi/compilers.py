@@ -27,7 +27,12 @@ _FLAGS = (
     *("-std=c11", "-O2", "-ffp-contract=off", "-fPIC", "-fvisibility=hidden", "-shared"),
     *("-Wall", "-Wextra", "-Wno-unused-command-line-argument"),
 )
-_ELF_FLAGS = "-Wl,--no-undefined", "-Wl,-Bsymbolic", "-Wl,-s", "-Wl,-z,noexecstack"
+_MORE_FLAGS = {  # by the suffix of the library; the symbols are stripped
+    ".so": ("-Wl,--no-undefined", "-Wl,-Bsymbolic", "-Wl,-z,noexecstack", "-s"),
+    # the system's printf: that of the compiler would be a third of the library
+    ".dll": ("-D__USE_MINGW_ANSI_STDIO=0", "-s"),
+    ".dylib": (),
+}
 
 
 def find_cc(option: Path | None) -> str:
@@ -86,9 +91,9 @@ def link_library(command: Sequence[str], sources: Sequence[Path], library: Path)
     Raises:
         InputError: the compiler cannot be started, or fails; with what it printed.
     """
-    elf = _ELF_FLAGS if library.suffix == ".so" else ()
+    more = _MORE_FLAGS[library.suffix]
     names = [each.name for each in sources]
-    line = [*command, *_FLAGS, *elf, "-o", library.name, *names, "-lm"]
+    line = [*command, *_FLAGS, *more, "-o", library.name, *names, "-lm"]
     code, output = _run(line, sources[0].parent)
     shown = [row for row in output.splitlines() if row.strip()][:_LINES]
     text = "\n".join(f"    {row[:_CHARACTERS]}" for row in shown)

@@ -186,7 +186,7 @@ def describe_model(
         f'<fmiModelDescription fmiVersion="2.0" modelName={quoteattr(name)} guid="{guid}" '
         f'description={quoteattr(words)} generationTool="testbed {__version__}" '
         'variableNamingConvention="structured">\n'
-        f'  <CoSimulation modelIdentifier={quoteattr(name)} '
+        f"  <CoSimulation modelIdentifier={quoteattr(name)} "
         'canHandleVariableCommunicationStepSize="true" canNotUseMemoryManagementFunctions="true" '
         'canGetAndSetFMUstate="true" canSerializeFMUstate="true"/>\n'
         f"  <UnitDefinitions>\n{_units(variables)}  </UnitDefinitions>\n"

@@ -65,6 +65,7 @@ class NativeModule:
                 continue
             if each.name in names:
                 each.name, each.linkage = names[each.name], "external"
+                each.visibility = "hidden"  # of a library, which exports the standard's alone
             else:
                 each.linkage = "internal"
         self.text = str(whole)
@@ -77,9 +78,7 @@ class NativeModule:
             processor: of LLVM; empty: any of the triple.
         """
         target = _binding.Target.from_triple(triple)
-        machine = target.create_target_machine(
-            cpu=processor, opt=3, reloc="pic", codemodel="small"
-        )
+        machine = target.create_target_machine(cpu=processor, opt=3, reloc="pic", codemodel="small")
         module = _binding.parse_assembly(self.text)
         module.triple, module.data_layout = triple, str(machine.target_data)
         options = _binding.create_pipeline_tuning_options(speed_level=3)

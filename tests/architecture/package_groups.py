@@ -47,11 +47,13 @@ GROUPS = (
     ),
     Group(
         "links",
-        "Programs outside: ground stations, the real ArduPlane, and a bad link between any two.",
+        "Programs outside: ground stations, the real ArduPlane, a bad link between any two, and "
+        "other co-simulations.",
         {
             "mavlink": "guidance",
             "ardupilot": "autopilot mavlink",
             "link": "mavlink network scenario",
+            "fmi": "autopilot compiled vehicle",
         },
         "core scenario models",
     ),

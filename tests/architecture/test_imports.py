@@ -215,6 +215,7 @@ OPENING = {
     "views.viewer": "a table of the kernel",
     "plan.resources": "tables of the kernel",
     "plan.user_code": "metadata of an installed package",
+    "fmi.aircraft_fmu": "data of the package itself, and a temporary folder for a compiler",
     "cli.new": "templates of the package itself",
     "cli.output": "the null device",
 }
@@ -315,6 +316,7 @@ RUNS_CODE = {
     "subprocess": {
         "core.child_guard",  # the command that its starter gives it
         "ardupilot.sitl_process",  # ArduPlane: of the option or the environment
+        "fmi.compilers",  # cc and zig: of the options or PATH
         "views.view",  # this Python, for the views' process
         "views.viewer",  # rerun, beside this Python
     },

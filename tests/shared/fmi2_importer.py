@@ -60,9 +60,7 @@ class Instance:
         self._callbacks = _Callbacks(log)  # the library keeps its address
         identity = (guid or archive.guid).encode()
         callbacks = ctypes.byref(self._callbacks)
-        self.component = archive.library.fmi2Instantiate(
-            b"a", 1, identity, b"", callbacks, 0, 0
-        )
+        self.component = archive.library.fmi2Instantiate(b"a", 1, identity, b"", callbacks, 0, 0)
         if self.component is None:
             return
         self._setup()
