@@ -239,6 +239,12 @@ PARTS = (
         "tests/commissioning/truth/test_recorded_arduplane.py",
         parallel=False,
     ),
+    Part(
+        "aircraft as FMUs beside testbed.Aircraft; libraries for other platforms",
+        "60 s of the Rascal and the X8, calm and in turbulence",
+        "TESTBED_FMUS=1 pytest tests/fmi",
+        parallel=False,
+    ),
     Part("golden tables", "all, flown again", "testbed check --jobs {jobs}"),
     Part("a policy trained to hold a slot", "better than the trim", "make train ARGS="),
     Part(

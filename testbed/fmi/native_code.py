@@ -60,14 +60,13 @@ class NativeModule:
             else:
                 whole.link_in(module)
         whole.link_in(_binding.parse_assembly(_TRAP.format(name=_NEVER_CALLED)))
-        for each in (*whole.functions, *whole.global_variables):
-            if each.is_declaration:
-                continue
+        defined = (*whole.functions, *whole.global_variables)
+        for k, each in enumerate(each for each in defined if not each.is_declaration):
             if each.name in names:
                 each.name, each.linkage = names[each.name], "external"
                 each.visibility = "hidden"  # of a library, which exports the standard's alone
-            else:
-                each.linkage = "internal"
+            else:  # numba's names count what this process has compiled
+                each.name, each.linkage = f"testbed_part_{k}", "internal"
         self.text = str(whole)
 
     def object_code(self, triple: str, processor: str = "") -> bytes:

@@ -10,10 +10,10 @@ sys.path.insert(0, str(ROOT / "tests"))
 import check_all  # noqa: E402
 
 # not of a sample: written, set by a test for its own processes, looked at by a person, the shard,
-# or that the seconds of files are written
+# that the seconds of files are written, or a program that is in no environment of the tests
 OTHERS = {
     *("TESTBED_SNAPSHOTS", "TESTBED_PICTURES", "TESTBED_SOCKET", "TESTBED_TEST_MARK"),
-    *("TESTBED_SHARD", "TESTBED_SECONDS"),
+    *("TESTBED_SHARD", "TESTBED_SECONDS", "TESTBED_ECOS"),
 }
 
 
