@@ -77,8 +77,10 @@ def fmu_command(
     target: Annotated[
         list[TargetChoice] | None,
         typer.Option(
-            help="Platform with a library in the FMU; may be repeated. All but linux need zig, as "
-            "all does, which is all but linux.  \\[default: linux]",
+            metavar="NAME",
+            help="Platform with a library in the FMU: linux is this machine's; by zig "
+            "linux-x86-64, linux-arm64, macos, windows, or all for these four. May be repeated.  "
+            "\\[default: linux]",
             show_default=False,
         ),
     ] = None,
@@ -99,8 +101,8 @@ def fmu_command(
     """Write an aircraft with its autopilot as a native FMU, for other co-simulations (FMI 2.0).
 
     The FMU has the flight model, compiled from the aircraft's own files, behind fly-by-wire A. It
-    needs neither Python nor JSBSim nor this program: OMSimulator, FMPy and others load it. Inputs
-    are pitch, roll, throttle, wind and its rotation; outputs are motion, air data, surfaces and
+    needs neither Python nor JSBSim nor this program: FMPy and other importers load it. Inputs are
+    pitch, roll, throttle, wind and its rotation; outputs are motion, air data, surfaces and
     battery. It flies the numbers of testbed.Aircraft.
 
     testbed fmu rascal110 --airspeed 15:25:1 --out fmus writes fmus/rascal110.fmu, which starts in

@@ -106,10 +106,10 @@ def link_library(command: Sequence[str], sources: Sequence[Path], library: Path)
 def _run(line: list[str], folder: Path) -> tuple[int, str]:
     """Run a compiler in a folder; return its exit code and what it printed.
 
-    It ends with this process.
+    It ends with this process; if this is killed, the folder is removed.
     """
     child = subprocess.Popen(
-        guard_command("", line),
+        guard_command(folder, line),
         cwd=folder,
         env=_environment(folder),
         stdin=subprocess.PIPE,

@@ -2,10 +2,14 @@
 
 import os
 import shlex
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
-from commands import call_command
+from commands import call_command, environment
+from waiting import TIMEOUT_S, until
 
 from testbed.core.errors import InputError
 from testbed.fmi.compilers import find_cc, find_zig, link_library
@@ -69,6 +73,29 @@ def test_compiler_that_fails_is_one_error(tmp_path, sources):
     no_program.write_text("#!/nowhere/at/all\n")
     with pytest.raises(InputError, match="broken: cannot be started"):
         link_library([str(no_program)], sources, tmp_path / "library.so")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_compiler_ends_with_the_command(tmp_path, number):
+    """Also if the command is killed; its folder is then removed."""
+    work = tmp_path / "work"
+    work.mkdir()
+    (work / "one.c").write_text("int one(void) { return 1; }\n")
+    slow = program(tmp_path, "slow", f"echo $$ > {tmp_path}/started; exec sleep 600")
+    code = (
+        "from pathlib import Path; from testbed.fmi.compilers import link_library; "
+        f"link_library(['{slow}'], [Path('{work}/one.c')], Path('{work}/library.so'))"
+    )
+    child = subprocess.Popen([sys.executable, "-c", code], env=environment(100))
+    started = tmp_path / "started"
+    until(lambda: started.is_file() and started.read_text().strip())
+    compiler = Path("/proc") / started.read_text().strip()
+    assert compiler.is_dir()
+    child.send_signal(number)
+    child.wait(TIMEOUT_S)
+    until(lambda: not compiler.is_dir())
+    if number == signal.SIGKILL:
+        until(lambda: not work.exists())
 
 
 @pytest.mark.parametrize(
