@@ -124,7 +124,7 @@ def make_block(
         placed = place_row(aircraft.folder, at, start.origin, physics_hz)
     except TrimError as error:
         reason = str(error).rpartition("no steady flight; ")[2]
-        raise InputError(f"{airspeed:g} m/s: no level flight: {reason}") from None
+        raise InputError(f"airspeed {airspeed:g} m/s: no level flight: {reason}") from None
     gains = make_gains([params], 1.0 / AUTOPILOT_HZ)
     trim, controls = placed.trim, placed.trim.controls
     surfaces = ActuatorCommand(

@@ -331,8 +331,14 @@ EXPORT fmi2Status fmi2SerializeFMUstate(fmi2Component component, fmi2FMUstate st
 
 EXPORT fmi2Status fmi2DeSerializeFMUstate(fmi2Component component, const fmi2Byte bytes[],
                                           size_t size, fmi2FMUstate *state) {
-  if (size != sizeof(Content) || memcmp(bytes, GUID, sizeof GUID))
-    return report(component, fmi2Error, "the bytes are no state of this FMU");
+  Content content;
+  int known = size == sizeof content && !memcmp(bytes, GUID, sizeof GUID);
+  if (known) {
+    memcpy(&content, bytes, sizeof content);
+    known = content.mode >= INSTANTIATED && content.mode <= TERMINATED &&
+            content.ended >= FLYING && content.ended <= FAILED;
+  }
+  if (!known) return report(component, fmi2Error, "the bytes are no state of this FMU");
   if (!*state) *state = malloc(sizeof(Content));
   if (!*state) return report(component, fmi2Error, "there is no memory for the state");
   memcpy(*state, bytes, sizeof(Content));

@@ -36,7 +36,6 @@ from testbed.fmi.model_description import AIRSPEED, DOWN, Variable, describe_mod
 from testbed.fmi.native_code import NativeModule
 from testbed.fmi.targets import Target, targets
 
-MOST_STARTS = 200
 _WRAPPER = Path(__file__).with_name("aircraft_fmu.c")
 _LICENCE = Path(__file__).with_name("licence.txt")
 _WORD = 8  # bytes
@@ -104,17 +103,19 @@ def make_fmu(wanted: AircraftFmu, report: Report = lambda text: None) -> Written
         InputError: the aircraft is flown by JSBSim only, has no level flight at an airspeed, or a
             compiler is missing or fails.
     """
+    if is_interpreted():
+        raise InputError("an FMU is compiled: unset NUMBA_DISABLE_JIT")
     compilers = _find_compilers(wanted)
     report("compile the flight model")
     name, origin = wanted.folder.name, NedOrigin()
     engine = find_engine(wanted.folder, wanted.physics_hz)
-    if is_interpreted() or engine.compiled is None:
+    if engine.compiled is None:
         raise _refusal(name, engine.reasons)
     aircraft, params = engine.compiled, read_params(wanted.tune)
     blocks = list[Record]()
     for height in wanted.heights:
         for airspeed in wanted.airspeeds:
-            report(f"trim at {airspeed:g} m/s")
+            report(f"trim at {airspeed:g} m/s, {height:g} m")
             try:
                 at = StartPoint(height, origin)
                 blocks.append(make_block(aircraft, params, airspeed, at, wanted.physics_hz))
@@ -179,8 +180,6 @@ def _find_compilers(wanted: AircraftFmu) -> dict[str, tuple[str, ...]]:
 
 
 def _refusal(name: str, reasons: Sequence[str]) -> InputError:
-    if is_interpreted():
-        return InputError("an FMU is compiled: unset NUMBA_DISABLE_JIT")
     text = "\n".join(f"    {each}" for each in reasons)
     return InputError(
         f"{name}: only JSBSim flies this aircraft, so there is no FMU of it: parts of it are not "

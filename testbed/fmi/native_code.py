@@ -13,6 +13,8 @@ import numba
 from llvmlite import binding
 from numba import types
 
+from testbed.core.errors import InputError
+
 _njit: Any = numba.njit
 _binding: Any = binding
 _pointer: Any = types.voidptr
@@ -75,6 +77,9 @@ class NativeModule:
         Args:
             triple: of LLVM, such as `x86_64-unknown-linux-gnu`.
             processor: of LLVM; empty: any of the triple.
+
+        Raises:
+            InputError: the functions call what only this program has.
         """
         target = _binding.Target.from_triple(triple)
         machine = target.create_target_machine(cpu=processor, opt=3, reloc="pic", codemodel="small")
@@ -85,6 +90,10 @@ class NativeModule:
         builder.getModulePassManager().run(module, builder)
         missing = {each.name for each in module.functions if each.is_declaration}
         unknown = {name for name in missing if not name.startswith("llvm.")} - MATHEMATICS
-        assert not unknown, unknown
+        if unknown:
+            raise InputError(
+                f"the compiled functions call {', '.join(sorted(unknown))}, which no library for "
+                "mathematics has: there is no FMU of this aircraft"
+            )
         code: bytes = machine.emit_object(module)
         return code

@@ -59,9 +59,10 @@ simulation.terminate()
 def written(tmp_path_factory):
     """What the command writes: the FMU and its JSON."""
     folder = tmp_path_factory.mktemp("fmu")
-    words = ("--airspeed", "18:22:2", "--out", "made/fmus", "--json", "made.json")
+    words = ("--airspeed", "18:22:2", "--height", "100,500", "--out", "made/fmus")
+    words += ("--json", "made.json")
     done = call_command("fmu", "rascal110", *words, cwd=folder, code=0, columns=100)
-    assert "rascal110" in done.stdout and "trim at 20 m/s" in done.stderr
+    assert "rascal110" in done.stdout and "trim at 20 m/s, 500 m" in done.stderr
     return (folder / "made/fmus/rascal110.fmu").read_bytes(), json.loads(
         (folder / "made.json").read_text()
     )
@@ -160,6 +161,17 @@ def test_start_is_chosen_by_parameters(archive):
     instance.step(10.0)
     assert instance.get(["airspeed"]) == pytest.approx([22.0], abs=0.2)
     assert -instance.get(["position_ned[3]"]) == pytest.approx([120.0], abs=2.0)
+
+
+def test_start_takes_the_trim_of_the_nearest_height(archive):
+    """Its accelerations vanish where a trim was made, and nearly between two."""
+    largest = []
+    for height in (100.0, 500.0, 310.0):
+        instance = Instance(archive)
+        instance.set(["start.airspeed", START[2]], [20.0, -height])
+        found = instance.begin().get([f"acceleration_ned[{k}]" for k in (1, 2, 3)])
+        largest.append(np.abs(found).max())
+    assert max(largest[:2]) < 1e-3 < largest[2] < 0.3
 
 
 def test_saved_states_fly_on_alike(archive):
@@ -340,15 +352,19 @@ def test_archive_is_plain(written, tmp_path):
     assert all(re.fullmatch(r"[\w./-]+", each) and ".." not in each for each in names)
 
 
-@pytest.mark.skipif(not ALL, reason="TESTBED_FMUS=1: the X8, which is another FMU")
-@pytest.mark.parametrize(("name", "hz"), [("skywalker_x8", 100), ("rascal110", 200)])
+@pytest.mark.skipif(not ALL, reason="TESTBED_FMUS=1: each is another FMU")
+@pytest.mark.parametrize(("name", "hz"), [("skywalker_x8", 100), ("rascal110", 200), ("own", 100)])
 def test_other_aircraft_and_rates_are_the_same(tmp_path, name, hz):
+    """Also one of the user's, which is heavier; the same FMU twice."""
     folder = library() / "aircraft" / name
-    made = make_fmu(AircraftFmu(folder, folder / "autopilot.param", [18.0], physics_hz=hz))
-    again = make_fmu(AircraftFmu(folder, folder / "autopilot.param", [18.0], physics_hz=hz))
-    assert made.data == again.data
-    archive = Archive(made.data, tmp_path)
+    if name == "own":
+        folder = changed(RASCAL, tmp_path, (r">\s*[\d.]+\s*</emptywt>", ">14.5</emptywt>"))
+    wanted = AircraftFmu(folder, folder / "autopilot.param", [18.0], physics_hz=hz)
+    made = make_fmu(wanted)
+    assert made.data == make_fmu(wanted).data
+    (tmp_path / "unpacked").mkdir()
+    archive = Archive(made.data, tmp_path / "unpacked")
     for air in (None, COHERENT):
-        aircraft = testbed.Aircraft(name, airspeed_mps=18.0, physics_hz=hz, air=air)
+        aircraft = testbed.Aircraft(str(folder), airspeed_mps=18.0, physics_hz=hz, air=air)
         for ours, theirs in fly_beside(Instance(archive).begin(), aircraft, SECONDS):
             np.testing.assert_array_equal(ours, theirs)
