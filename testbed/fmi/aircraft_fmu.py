@@ -32,7 +32,7 @@ from testbed.core.version import __version__
 from testbed.fmi.aircraft_block import AUTOPILOT_HZ, StartPoint, field_offsets, make_block
 from testbed.fmi.aircraft_functions import make_functions
 from testbed.fmi.compilers import find_cc, find_zig, link_library
-from testbed.fmi.model_description import AIRSPEED, DOWN, Variable, describe_model, list_variables
+from testbed.fmi.description_writing import AIRSPEED, DOWN, Variable, describe_model, list_variables
 from testbed.fmi.native_code import NativeModule
 from testbed.fmi.targets import Target, targets
 
