@@ -49,7 +49,7 @@ AUTOPILOT_HZ, MOST_HZ = 50, 10_000
 class TargetChoice(StrEnum):
     """A platform that the FMU has a library for."""
 
-    LINUX = "linux"
+    HOST = "host"
     LINUX_X86_64 = "linux-x86-64"
     LINUX_ARM64 = "linux-arm64"
     MACOS = "macos"
@@ -78,15 +78,15 @@ def fmu_command(
         list[TargetChoice] | None,
         typer.Option(
             metavar="NAME",
-            help="Platform with a library in the FMU: linux is this machine's; by zig "
+            help="Platform with a library in the FMU: host is this machine; by zig "
             "linux-x86-64, linux-arm64, macos, windows, or all for these four. May be repeated.  "
-            "\\[default: linux]",
+            "\\[default: host]",
             show_default=False,
         ),
     ] = None,
     cc: Annotated[
         Path | None,
-        value_option("PATH", "C compiler of this machine, for linux.  \\[default: cc on PATH]"),
+        value_option("PATH", "C compiler of this machine, for host.  \\[default: cc on PATH]"),
     ] = None,
     zig: Annotated[
         Path | None,
@@ -137,7 +137,7 @@ def fmu_command(
         airspeeds,
         heights,
         physics_hz,
-        _targets(target or [TargetChoice.LINUX]),
+        _targets(target or [TargetChoice.HOST]),
         cc,
         zig,
     )
@@ -165,7 +165,7 @@ def _targets(chosen: Sequence[TargetChoice]) -> tuple[str, ...]:
     names = list[str]()
     for each in chosen:
         if each is TargetChoice.ALL:
-            others = (TargetChoice.ALL, TargetChoice.LINUX)
+            others = (TargetChoice.ALL, TargetChoice.HOST)
             names += [one.value for one in TargetChoice if one not in others]
         else:
             names.append(each.value)

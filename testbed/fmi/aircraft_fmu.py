@@ -34,7 +34,7 @@ from testbed.fmi.aircraft_functions import make_functions
 from testbed.fmi.compilers import find_cc, find_zig, link_library
 from testbed.fmi.description_writing import AIRSPEED, DOWN, Variable, describe_model, list_variables
 from testbed.fmi.native_code import NativeModule
-from testbed.fmi.targets import Target, targets
+from testbed.fmi.targets import THIS, Target, targets
 
 _WRAPPER = Path(__file__).with_name("aircraft_fmu.c")
 _LICENCE = Path(__file__).with_name("licence.txt")
@@ -67,7 +67,7 @@ class AircraftFmu(NamedTuple):
     airspeeds: Sequence[float]
     heights: Sequence[float] = (100.0,)
     physics_hz: int = 100
-    targets: Sequence[str] = ("linux",)
+    targets: Sequence[str] = (THIS,)
     cc: Path | None = None
     zig: Path | None = None
 

@@ -18,17 +18,26 @@ class Target(NamedTuple):
     words: str  # what it runs on
 
 
-THIS = "linux"
-_LINUX_FOLDERS = {"x86_64": "linux64"}
+THIS = "host"
+_FOLDERS = {("Linux", "x86_64"): "linux64", ("Darwin", "x86_64"): "darwin64"}
+_FOLDERS[("Darwin", "arm64")] = "darwin64"
+
+
+def _host() -> Target:
+    """Return the target of this machine, Linux or macOS."""
+    system, machine = platform.system(), platform.machine()
+    folder = _FOLDERS.get((system, machine), f"{machine}-{system.lower()}")
+    words = f"{system}, {machine}, as new as this one"
+    if system == "Darwin":
+        return Target(folder, ".dylib", (f"{machine}-apple-macosx11.0.0",), (), words)
+    own: str = binding.get_process_triple()
+    return Target(folder, ".so", (own,), (), words)
 
 
 def targets() -> dict[str, Target]:
     """Return the targets by their names."""
-    machine = platform.machine()
-    folder = _LINUX_FOLDERS.get(machine, f"{machine}-linux")
-    own: str = binding.get_process_triple()
     return {
-        THIS: Target(folder, ".so", (own,), (), f"Linux, {machine}, as new as this one"),
+        THIS: _host(),
         "linux-x86-64": Target(
             "linux64",
             ".so",

@@ -11,7 +11,9 @@ OK, DISCARD, ERROR = 0, 2, 3
 _LOGGER = ctypes.CFUNCTYPE(
     None, ctypes.c_void_p, ctypes.c_char_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_char_p
 )
+MAC = platform.system() == "Darwin"
 PLATFORM = {"x86_64": "linux64"}.get(platform.machine(), f"{platform.machine()}-linux")
+PLATFORM, SUFFIX = ("darwin64", "dylib") if MAC else (PLATFORM, "so")
 
 
 class _Callbacks(ctypes.Structure):
@@ -36,7 +38,7 @@ class Archive:
         self.root = ElementTree.parse(folder / "modelDescription.xml").getroot()
         self.guid = self.root.get("guid")
         name = self.root.find("CoSimulation").get("modelIdentifier")
-        self.path = folder / "binaries" / PLATFORM / f"{name}.so"
+        self.path = folder / "binaries" / PLATFORM / f"{name}.{SUFFIX}"
         self.library = ctypes.CDLL(str(self.path))
         self.library.fmi2Instantiate.restype = ctypes.c_void_p
         rows = self.root.findall("ModelVariables/ScalarVariable")

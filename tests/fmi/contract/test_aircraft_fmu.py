@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 from aircraft_copies import changed
 from commands import call_command
-from fmi2_importer import DISCARD, ERROR, Archive, Instance
+from fmi2_importer import DISCARD, ERROR, MAC, Archive, Instance
+from places import ROOT
 
 import testbed
 from testbed.core.errors import InputError
@@ -257,6 +258,7 @@ def test_flight_ends_at_the_ground(archive):
     np.testing.assert_array_equal(instance.get(names), last)
 
 
+@pytest.mark.skipif(MAC, reason="nm of macOS has other options")
 def test_library_needs_c_and_mathematics_alone(written, archive):
     """No symbol of Python or numba, and at most 100 kB in the archive."""
     sizes = written[1]["libraries_bytes"]
@@ -299,9 +301,8 @@ def test_documentation_has_licences_and_digests(archive):
     page = (folder / "index.html").read_text("utf-8")
     for name in ("rascal110.xml", "Engines/rascal110_motor.xml", "autopilot.param"):
         assert re.search(rf"<td>{name}</td><td><code>[0-9a-f]{{64}}</code></td>", page)
-    assert (folder / "licenses/testbed.txt").read_bytes() == (
-        (library() / "LICENSE").read_bytes() if (library() / "LICENSE").is_file() else b""
-    )
+    licence = (ROOT / "LICENSE").read_bytes()
+    assert (folder / "licenses/testbed.txt").read_bytes() == licence
     own = folder / "licenses/rascal110/SOURCE.md"
     assert own.read_bytes() == (RASCAL / "SOURCE.md").read_bytes()
 
