@@ -68,6 +68,10 @@ def new_law_command(
             "LAW", "Law of the library to begin with.  \\[default: one of 20 lines]", "--from"
         ),
     ] = None,
+    fmu: Annotated[
+        bool,
+        typer.Option("--fmu", help="Make the sources of an FMU in C in place of the kernel."),
+    ] = False,
 ) -> None:
     """Make a law of your own that flies: a kernel, a scenario, a study, an entry and a notebook.
 
@@ -75,9 +79,15 @@ def new_law_command(
     scenario flies it on Simulation 3, the study compares it with the paper's law over 20 seeds, the
     entry has what `testbed benchmark` tunes, and the notebook goes from the flight to a figure and
     margins.
+
+    With --fmu the law is the same in C, for the standard FMI 2.0: source, modelDescription.xml and
+    a table of its variables. Nothing is built; the commands that build it are printed.
     """
     check_law_name(name)
     target = Path(name) if into is None else into
+    if fmu:
+        _write_fmu_law(name, target, begin_with, named=into is not None)
+        return
     templates = {
         f"{name}.py": "law.py",
         f"{name}.yaml": "law.yaml",
@@ -103,6 +113,39 @@ def new_law_command(
     console.write_line(f"       testbed sweep {target / name}-study.yaml")
     entered = f"{target / name}.py:{name} --entry {target / name}-entry.yaml"
     console.write_line(f"       testbed benchmark {entered} hbh23")
+
+
+def _write_fmu_law(name: str, target: Path, begin_with: str | None, *, named: bool) -> None:
+    """Write the sources of a law that is an FMU, with a scenario and a study.
+
+    Raises:
+        InputError: a file cannot be written, or the law begins with one of the library.
+    """
+    from testbed.cli.new_fmu import build_commands, c_words, description, table
+
+    if begin_with is not None:
+        raise InputError(f"--from {begin_with}: is a kernel in Python (leave out --from or --fmu)")
+    texts = {
+        f"{name}-fmu/modelDescription.xml": description(name),
+        f"{name}-fmu/sources/{name}.c": filled_template("fmu-law.c", c_words(name)),
+        f"{name}-variables.csv": table(),
+        f"{name}.yaml": filled_template("fmu-law.yaml", {"NAME": name}),
+        f"{name}-study.yaml": filled_template("law-study.yaml", {"NAME": name}),
+    }
+    texts[f"{name}-study.yaml"] = texts[f"{name}-study.yaml"].replace(f"{name}.py", f"{name}.fmu")
+    with report_write_errors(f"--into {target}" if named else target), new_folder(target) as folder:
+        for file, text in texts.items():
+            (folder / file).parent.mkdir(parents=True, exist_ok=True)
+            with write_text_file(folder / file) as written:
+                written.write(text)
+    console = result_console(None)
+    console.write_line(f" written: {', '.join(str(target / file) for file in texts)}")
+    console.write_line(f" next: cd {target / name}-fmu")
+    for each in (*build_commands(name), "cd -"):
+        console.write_line(f"       {each}")
+    console.write_line(f"       testbed validate {target / name}.yaml")
+    console.write_line(f"       testbed run {target / name}.yaml")
+    console.write_line(f"       testbed sweep {target / name}-study.yaml")
 
 
 def _renamed_entry(law: str, name: str) -> str:

@@ -215,7 +215,12 @@ def run_command(
             size = format_size(*result.directory.iterdir()) if result.directory else ""
             notes += _published_notes(scenario, loaded, overrides or ())
             render_table(result.metrics, console, log=result.directory, log_size=size, notes=notes)
-            for path in sorted(result.directory.glob("*.py")) if result.directory else ():
+            code = (
+                [*result.directory.glob("*.py"), *result.directory.glob("*.fmu")]
+                if result.directory
+                else []
+            )
+            for path in sorted(code):
                 console.write_line(f" {'control law':<20}{path}, a copy of its code")
             if json is None and console.is_terminal:  # a program that reads a pipe needs none
                 for line in next_commands(result.directory, loaded):

@@ -8,7 +8,8 @@ code stay right. What has its state elsewhere, such as a program or a file, is r
 A class may say that its objects are `CONSTANT`. It may name attributes in `UNSAVED`: these are no
 state of a flight, or are made again where they are missing; in `ADDRESSES`: these are right in
 their own object only; and in `ALIKE`: objects whose values of these differ are no counterparts of
-each other. It may have a method `unused_arrays`, of arrays that are written before they are read.
+each other. It may have a method `unused_arrays`, of arrays that are written before they are read,
+and an attribute `why_not_saved`, a text that is not empty where its objects have state elsewhere.
 """
 
 from __future__ import annotations
@@ -303,6 +304,7 @@ def _members(value: Any, path: str) -> dict[Any, Any]:  # noqa: ANN401 - any obj
     if isinstance(value, _WITHOUT_ATTRIBUTES) or type(value) is partial:
         return {}
     kind = type(value)
+    _require_saved(value)
     try:
         names = {*getattr(value, "__dict__", ()), *_slots(kind, object)}
     except TypeError as error:
@@ -579,6 +581,7 @@ def _take_apart(each: Any, path: str) -> tuple[list[Back], list[tuple[object, st
         InputError: it is of a kind that is not known.
     """
     kind = type(each)
+    _require_saved(each)
     if isinstance(each, types.FunctionType):
         return _take_function_apart(each, path)
     if isinstance(each, types.MethodType):
@@ -618,6 +621,16 @@ def _take_apart(each: Any, path: str) -> tuple[list[Back], list[tuple[object, st
         back += [partial(object.__setattr__, each, name, one) for name, one in values.items()]
     parts += [(one, f"{path}.{name}") for name, one in values.items()]
     return back, parts
+
+
+def _require_saved(each: Any) -> None:  # noqa: ANN401 - any object
+    """Refuse an object that says why it cannot be saved.
+
+    Raises:
+        InputError: it does.
+    """
+    if reason := getattr(type(each), "why_not_saved", "") and each.why_not_saved:
+        raise InputError(reason)
 
 
 def _take_function_apart(

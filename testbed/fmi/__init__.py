@@ -1,1 +1,1 @@
-"""FMI, the standard of co-simulation: a compiled aircraft with its autopilot as a native FMU."""
+"""FMI, the standard of co-simulation: formation laws that are FMUs, and aircraft as native FMUs."""

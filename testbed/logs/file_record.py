@@ -20,6 +20,7 @@ from typing import Any
 from testbed.core.errors import InputError
 from testbed.core.files import is_abandoned
 from testbed.core.input_files import open_regular, parse_json_map, read_bounded
+from testbed.logs.header import CODE_SUFFIX
 from testbed.logs.mcap_file import TAIL_NAME as TAIL_METADATA
 from testbed.logs.mcap_file import has_own_header, read, read_attachments, tail_path
 from testbed.logs.run_directory import LOG_NAME, METRICS_NAME, SCENARIO_NAME
@@ -252,7 +253,7 @@ def _is_proven(path: Path, name: str) -> bool:
         return has_own_header(path)
     if name == TAIL_NAME:
         return _is_tail(path)
-    if name in (METRICS_NAME, SCENARIO_NAME) or ("/" not in name and name.endswith(".py")):
+    if name in (METRICS_NAME, SCENARIO_NAME) or ("/" not in name and name.endswith(CODE_SUFFIX)):
         data = read_bounded(path, _MAX_PROOF_BYTES)
         if name == METRICS_NAME:
             metrics = parse_json_map(data)

@@ -20,7 +20,7 @@ from testbed.logs.messages import LOG_SCHEMA
 
 METADATA_NAME = "testbed"
 INFO_NAME = "run.json"  # attached: the RunInfo
-CODE_SUFFIX = ".py"  # of attached user code
+CODE_SUFFIX = (".py", ".fmu")  # of attached user code
 _ValueT = TypeVar("_ValueT")
 _Number = Annotated[float, Field(le=MAX_WHOLE, allow_inf_nan=False)]
 _Rate = Annotated[int, Field(ge=1, le=100_000)]

@@ -96,7 +96,8 @@ class McapRecorder(BlockObserver):
         file.metadata(METADATA_NAME, metadata(info))
         file.attachment(SCENARIO_NAME, "application/yaml", info.scenario_yaml.encode())
         for name, code in info.code.items():
-            file.attachment(name, "text/x-python", code)
+            media = "text/x-python" if name.endswith(".py") else "application/zip"
+            file.attachment(name, media, code)
         file.attachment(INFO_NAME, "application/json", to_json(info).encode())
         self._encoder = _SampleEncoder(file, info)
         self._begin_blocks(info)

@@ -15,7 +15,7 @@ from pathlib import Path
 from testbed.core.errors import InputError
 from testbed.core.input_files import read_bounded
 from testbed.plan.user_code import import_code, loaded_by
-from testbed.scenario import find_code
+from testbed.scenario import FMU, find_code
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 
@@ -28,11 +28,14 @@ def code_files(name: str) -> tuple[Path, ...]:
     packages are left out. What code reads or imports in any other way is not seen.
 
     Args:
-        name: `module:name`, as in a resolved scenario; it is imported unless it was before.
+        name: `module:name`, as in a resolved scenario; it is imported unless it was before. Or the
+            path of an FMU, which is one file.
 
     Returns:
         Absolute paths, the code's own first; none where it cannot be imported.
     """
+    if name.endswith(FMU):
+        return (Path(name),)
     module_name, _, _ = find_code(name).rpartition(":")
     try:
         origin = _origin(module_name)

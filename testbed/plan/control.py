@@ -77,7 +77,7 @@ def build_control(fleet: FormationPlan, controller: Controller, clock: Clock) ->
                 law[indices], neighbours[indices], (weights, *reads), (reads.velocity,)
             )
             user_law, origin = build_law(
-                controller.law, controller.options, members, parts, hbh23, config
+                controller.law, controller.options, members, parts, hbh23, config, controller.map
             )
             commands.add(_check_user_law(fleet.followers, members, user_law, controller))
             messages.append(f"the law {law_name(user_law)} runs {origin}")

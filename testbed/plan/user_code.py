@@ -31,6 +31,7 @@ from testbed.core.input_files import read_bounded
 from testbed.core.reads import Deferred, current, unrecorded
 from testbed.core.records import Array, FbwaCommand, Inbox, OwnState, UnicycleCommand
 from testbed.flight.control import law_file, law_name, user_code_errors, validate_command
+from testbed.fmi.archive import MAX_BYTES as MAX_FMU_BYTES
 from testbed.formation.compiled_law import (
     ARGUMENTS,
     CompiledLaw,
@@ -41,7 +42,7 @@ from testbed.formation.compiled_law import (
 from testbed.formation.control_step import Hbh23Law
 from testbed.formation.law import OLD_BOUNDS, FormationConfig, Law
 from testbed.formation.law_outputs import Outputs, outputs_of
-from testbed.scenario import LAWS, Scenario, code_references, find_code, library, with_values
+from testbed.scenario import FMU, LAWS, Scenario, code_references, find_code, library, with_values
 from testbed.scenario.fields import KeyPath, is_number
 
 
@@ -52,18 +53,21 @@ def build_law(
     parts: Mapping[str, Deferred],
     hbh23: Hbh23Law,
     formation: FormationConfig | None = None,
+    variables: Mapping[str, str] | None = None,
 ) -> tuple[Law, str]:
     """Import and construct the law of a scenario's `controller.law`.
 
     Args:
         name: of a law of the library, "module:name" of a file in scenarios/ or an installed
-            module, or "path/of/file.py:name", of a class or of a function under `@testbed.kernel`.
+            module, or "path/of/file.py:name", of a class or of a function under `@testbed.kernel`;
+            or the path of an FMU.
         options: keyword arguments.
         config: of its followers.
         parts: what was read for the fields of the configuration.
         hbh23: their law of [HBH23], for one that extends it.
         formation: configuration of all followers, of which a kernel may require something; None:
             the same.
+        variables: `controller.map` of an FMU.
 
     Returns:
         The law, and a description of its code with the digest.
@@ -72,6 +76,8 @@ def build_law(
         InputError: the module or name does not exist, does not accept these options, cannot be
             compiled, or requires what the formation or the options do not have.
     """
+    if name.endswith(FMU):
+        return _build_fmu(Path(find_code(name)), variables or {}, options, config, parts, hbh23)
     module_name, _, law_name = find_code(name).rpartition(":")
     module, origin = import_code(module_name, "controller.law")
     with user_code_errors(origin):  # attributes of modules and classes can be code, too
@@ -109,6 +115,25 @@ def build_law(
         _check_options(law_name, found, (config,), options)
         make = cast(Callable[..., Law], found)
         return make(config, **options), described
+
+
+def _build_fmu(
+    path: Path,
+    variables: Mapping[str, str],
+    options: Mapping[str, Any],
+    config: FormationConfig,
+    parts: Mapping[str, Deferred],
+    hbh23: Hbh23Law,
+) -> tuple[Law, str]:
+    """Build the law of an FMU; see `build_law`."""
+    from testbed.plan.fmu_law import build_fmu
+
+    law, found = build_fmu(path, variables, options, config, hbh23, config.gains.shape[1])
+    names = found.config_names
+    names |= {"offsets"} if "slot" in names else set()
+    names |= {"command_from_velocity"} if found.kind == "velocity" else set()
+    _use_named(names, config, parts, hbh23)
+    return law, f"the FMU {path.name} (SHA-256 {law.library.digest[:12]})"
 
 
 def _use_named(
@@ -301,15 +326,15 @@ def with_stored_code(scenario: Scenario) -> tuple[Scenario, Mapping[str, bytes]]
     files: dict[str, bytes] = {}
     for loc, name in code_references(scenario):
         module_name, _, object_name = find_code(name).rpartition(":")
-        path = Path(module_name)
-        if path.suffix != ".py" or path.parent == library() / "scenarios":
+        path = Path(name if name.endswith(FMU) else module_name)
+        if path.suffix not in (".py", FMU) or path.parent == library() / "scenarios":
             continue
-        code = _read(path)
+        code = read_fmu(path) if path.suffix == FMU else _read(path)
         if files.setdefault(path.name, code) != code:
             raise InputError(
                 f"{'.'.join(map(str, loc))}: two different files are named {path.name} (rename one)"
             )
-        changes.append((loc, f"{path.name}:{object_name}"))
+        changes.append((loc, path.name if path.suffix == FMU else f"{path.name}:{object_name}"))
     return (with_values(scenario, changes) if changes else scenario), files
 
 
@@ -355,6 +380,15 @@ def _describe(module_name: str, origin: str) -> str:
 
 def _read(path: Path) -> bytes:
     return read_bounded(path, error=InputError)
+
+
+def read_fmu(path: Path) -> bytes:
+    """Return the bytes of an FMU.
+
+    Raises:
+        InputError: it cannot be read, or is too large.
+    """
+    return read_bounded(path, MAX_FMU_BYTES, error=InputError)
 
 
 _loaded: dict[str, set[str]] = {}  # modules that the first import of code has loaded, by its file
@@ -437,8 +471,7 @@ def _check_rules(law: Law, config: FormationConfig) -> type[Command]:
         if not _same(commands, _fly(law, config, flight)):
             _reject(
                 law,
-                "returns another command for the same input (store state in the memory, not in "
-                "attributes or global variables)",
+                f"returns another command for the same input ({_remedy(law)})",
             )
         for row in range(len(config.names) if len(config.names) > 1 else 0):
             _check_locality(law, config, flight, commands, rng, row)
@@ -512,8 +545,7 @@ def _check_interleaved(
         if not _same([expected], [validate_command(command, config, two[0])]):
             _reject(
                 law,
-                "returns another command where it also steps another flight (store state in "
-                "the memory, not in attributes or global variables)",
+                f"returns another command where it also steps another flight ({_remedy(law)})",
             )
 
 
@@ -540,8 +572,9 @@ def _fly(law: Law, config: FormationConfig, flight: list[Step]) -> list[Command]
     """Return the command of each step; memory and inputs must not be modified."""
     commands = []
     memory = law.start(_read_only(flight[0][1]))
+    twin = law.start(_read_only(flight[0][1])) if keeps_state(law) else None
     for now, own, inbox in flight:
-        before = copy.deepcopy(memory)
+        before = copy.deepcopy(memory) if twin is None else twin
         with _naming_missing_messages(config, inbox):
             try:
                 result = law.step(now, _read_only(own), _read_only(inbox), memory)
@@ -552,20 +585,38 @@ def _fly(law: Law, config: FormationConfig, flight: list[Step]) -> list[Command]
             if not (isinstance(result, tuple) and len(result) == 2):
                 _reject(law, "must return two values from step: the command and the memory")
             command, after = result
-            modified = _pickled(memory) != _pickled(before)
-            again = law.step(now, _read_only(own), _read_only(inbox), before)[0]
+            modified = twin is None and _pickled(memory) != _pickled(before)
+            again, twin_after = law.step(now, _read_only(own), _read_only(inbox), before)
+            twin = None if twin is None else twin_after
             command = validate_command(command, config, now)
             if (outputs := outputs_of(law)).fields:
                 _read_outputs(law, outputs, after, len(config.names))
         if modified or not _same([command], [validate_command(again, config, now)]):
             _reject(
                 law,
-                "does not carry its memory as a value (return a new memory from step, do not "
-                "modify the old one, and store state nowhere else)",
+                f"does not carry its memory as a value ({_remedy(law, in_step=True)})",
             )
         commands.append(command)
         memory = after
     return commands
+
+
+def keeps_state(law: Law) -> bool:
+    """Return whether a law is an FMU whose state is in its instances and cannot be saved."""
+    return bool(getattr(law, "why_not_saved", ""))
+
+
+def _remedy(law: Law, *, in_step: bool = False) -> str:
+    """Return where a law should keep its state."""
+    if keeps_state(law):
+        return "return to the start in the reset function, and share no variable between instances"
+    if hasattr(law, "library"):
+        return "write all state of an instance into its serialised state, and share no variable"
+    if in_step:
+        return (
+            "return a new memory from step, do not modify the old one, and store state nowhere else"
+        )
+    return "store state in the memory, not in attributes or global variables"
 
 
 @contextmanager

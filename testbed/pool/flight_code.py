@@ -10,7 +10,7 @@ from testbed.core.version import __version__
 # packages that a flight of a study imports: a change in any of their files can change its numbers
 FLIGHT_PACKAGES = (
     *("core", "airframes", "ardupilot", "atmosphere", "autopilot", "commands", "compiled"),
-    *("flight", "formation", "guidance", "logs", "mavlink", "metrics", "network", "plan"),
+    *("fmi", "flight", "formation", "guidance", "logs", "mavlink", "metrics", "network", "plan"),
     *("pool", "runs", "scenario", "sensors", "studies", "vehicle"),
 )
 PREDICTION_PACKAGES = ("linear",)  # and a prediction

@@ -70,6 +70,8 @@ def snapshot(scenario: Scenario, folder: Path, *, defaults: bool = True) -> dict
         data.get("limits", {}).pop("on_violation", None)
     if scenario.controller.safety is None:  # as in snapshots from before there was one
         data.get("controller", {}).pop("safety", None)
+    if not scenario.controller.map:  # the same
+        data.get("controller", {}).pop("map", None)
     data["scenario"] = {k: v for k, v in data["scenario"].items() if k not in _LEFT_OUT}
     result: dict[str, Any] = _with_relative_paths(data, folder.resolve())
     return result

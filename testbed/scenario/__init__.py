@@ -18,6 +18,7 @@ from testbed.scenario.middle_loop import MiddleLoopGains as MiddleLoopGains
 from testbed.scenario.problems import FilePosition as FilePosition
 from testbed.scenario.problems import Problem as Problem
 from testbed.scenario.problems import ScenarioError as ScenarioError
+from testbed.scenario.references import FMU as FMU
 from testbed.scenario.references import LAWS as LAWS
 from testbed.scenario.references import code_references as code_references
 from testbed.scenario.references import find_aircraft as find_aircraft

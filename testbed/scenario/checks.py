@@ -517,6 +517,11 @@ def _law(scenario: Sections) -> Iterator[Finding]:
             ("controller", "options"),
             "the law hbh23 has no options (write its gains under formation, or leave this out)",
         )
+    if scenario.controller.map and not scenario.controller.law.endswith(".fmu"):
+        yield (
+            ("controller", "map"),
+            "names variables of an FMU, which controller.law is not (leave it out)",
+        )
 
 
 # air and limits

@@ -43,7 +43,7 @@ def _law_name(value: str) -> str:
     """Accept a name of the library's, and module:Class."""
     if not re.fullmatch(r"[^:]+(:[A-Za-z_]\w*)?", value):
         raise PydanticCustomError(
-            "law", "must be the name of a law as hbh23, or module:Class for your own law"
+            "law", "must be the name of a law as hbh23, or module:Class or a .fmu for your own law"
         )
     return value
 
@@ -57,6 +57,7 @@ def _function_name(value: str) -> str:
 
 FunctionName = Annotated[str, Field(max_length=500), AfterValidator(_function_name), CODE]
 LawName = Annotated[str, Field(max_length=500), AfterValidator(_law_name), CODE]
+FmuName = Annotated[str, Field(min_length=1, max_length=300)]
 LawOption = str | int | float | bool | tuple[float, ...]
 
 
@@ -316,10 +317,18 @@ class Controller(Section):
         "hbh23",
         description="Control law: hbh23 is [HBH23] (5) to (15); leader-follower and others are of "
         "the library of laws; module:Class is your own law, or module:function if it is compiled, "
-        "from module.py in the folder of this file or from an installed package.",
+        "from module.py in the folder of this file or from an installed package; or the path of an "
+        "FMU in or below that folder, FILE.fmu.",
     )
     options: Mapping[Name, LawOption] = Field(
-        {}, description="Keyword arguments of the class or function of the law."
+        {},
+        description="Keyword arguments of the class or function of the law; of an FMU values of "
+        "its parameters.",
+    )
+    map: Mapping[FmuName, FmuName] = Field(
+        {},
+        description="Of an FMU: names of its variables, with the fields of a law that they are, or "
+        "none for one that is not used.",
     )
     profile: Name = Field(
         "tuned",

@@ -26,6 +26,7 @@ SectionT = TypeVar("SectionT", bound=Section)
 _DATA = Path("scenarios/data")
 LAWS = Path(__file__).resolve().parents[1] / "laws"
 _YAML, _PARAM = ".yaml", ".param"
+FMU = ".fmu"  # end of the path of a law that is an FMU
 
 
 def list_aircraft() -> tuple[str, ...]:
@@ -84,7 +85,8 @@ def find_law(name: str) -> Path:
     known = (BUILT_IN, *known)
     hint = did_you_mean(name.replace("_", "-"), known)
     text = f"there is no law {name!r}{hint} (write one of: {', '.join(known)}; or "
-    raise error_at(FilePosition(name), text + "module:Class or module:function for your own law)")
+    text += "module:Class or module:function for your own law, or the path of an FMU)"
+    raise error_at(FilePosition(name), text)
 
 
 def find_aircraft(name_or_path: str | Path, *, folder: Path | None = None) -> Path:
@@ -131,8 +133,8 @@ def find_code(name: str, *, folder: Path | None = None, within: Path | None = No
     A module.py in `folder` (of the scenario file) or in scenarios/ precedes an installed module.
 
     Args:
-        name: `module:name` or `file.py:name` of a law's class or of a function, or the name of a
-            law of the library.
+        name: `module:name` or `file.py:name` of a law's class or of a function, the path of an FMU,
+            or the name of a law of the library.
         folder: None: find a resolved name again.
         within: the folder of the file that names it, outside of which a file runs no code; None:
             the caller names it, and may choose any.
@@ -140,6 +142,14 @@ def find_code(name: str, *, folder: Path | None = None, within: Path | None = No
     Raises:
         ScenarioError: the file does not exist, or is outside of `within`.
     """
+    if name.endswith(FMU):
+        path = absolute(name, folder)
+        if not is_file(path):
+            raise error_at(
+                FilePosition(str(path)), f"there is no file {path} (write the path of an FMU)"
+            )
+        _refuse_outside(path, within)
+        return str(path)
     if ":" not in name:
         path = find_law(name)
         return f"{path}:{path.stem}"
@@ -334,7 +344,7 @@ class _Resolver:
 
     def _find_code(self, loc: KeyPath, name: str, folders: tuple[Path, ...]) -> str:
         """Return the source of a law or function; a law of the library keeps its name."""
-        if ":" not in name:
+        if ":" not in name and not name.endswith(FMU):
             find_law(name)
             return name
         # in a text or a setting, unlike in a file, the caller chooses the code
@@ -342,7 +352,7 @@ class _Resolver:
         within = folders[0] if in_file else self._settings_folder
         found = _first(folders, lambda each: _code_file(name, each, within), name)
         file, _, object_name = found.rpartition(":")
-        if Path(file).parent == library() / "scenarios":
+        if file and Path(file).parent == library() / "scenarios":
             return f"{Path(file).stem}:{object_name}"
         return found
 
@@ -390,7 +400,7 @@ def _first(
 def _code_file(name: str, folder: Path, within: Path | None) -> str | None:
     """Return what `find_code` does, or None for the name of an installed module."""
     found = find_code(name, folder=folder, within=within)
-    return None if found == name else found
+    return None if found == name and not name.endswith(FMU) else found
 
 
 def resolve_references(

@@ -10,7 +10,7 @@ from typing import Any
 
 from testbed.scenario.problems import ScenarioError
 from testbed.scenario.reference_fields import ReferenceKind, kinds_of_keys
-from testbed.scenario.references import FINDERS, find_code, is_file, library
+from testbed.scenario.references import FINDERS, FMU, find_code, is_file, library
 from testbed.scenario.schema import Scenario
 from testbed.scenario.yaml_io import parse, plain, to_inline
 
@@ -58,6 +58,8 @@ def _short(reference: str, name: str, here: Path) -> str:
 
 
 def _code(name: str, folder: Path, here: Path) -> str:
+    if name.endswith(FMU):
+        return _short(find_code(name, folder=folder), name, here)
     if ":" not in name:  # of the library
         return name
     file, _, object_name = find_code(name, folder=folder).rpartition(":")

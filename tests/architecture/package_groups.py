@@ -53,7 +53,7 @@ GROUPS = (
             "mavlink": "guidance",
             "ardupilot": "autopilot mavlink",
             "link": "mavlink network scenario",
-            "fmi": "autopilot compiled vehicle",
+            "fmi": "autopilot compiled formation scenario vehicle",
         },
         "core scenario models",
     ),
@@ -75,7 +75,7 @@ GROUPS = (
         {
             "flight": f"{OF_A_FLIGHT} metrics",
             "commands": "autopilot flight guidance mavlink scenario",
-            "plan": f"{OF_A_FLIGHT} compiled commands flight",
+            "plan": f"{OF_A_FLIGHT} compiled commands flight fmi",
             "runs": "commands flight logs mavlink metrics plan scenario vehicle",
             "pool": "autopilot mavlink metrics plan runs scenario",
         },

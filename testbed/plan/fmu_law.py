@@ -1,0 +1,348 @@
+"""A formation law that is an FMU: built from its file, and stepped by compiled code."""
+
+from __future__ import annotations
+
+import math
+import mmap
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from testbed.core.code_digest import code_digest
+from testbed.core.errors import InputError
+from testbed.core.records import Array, OwnState, Records
+from testbed.fmi.archive import Archive
+from testbed.fmi.instances import FmuLibrary, Value
+from testbed.fmi.law_variables import LawVariables, Setting, match_variables
+from testbed.fmi.model_description import ModelDescription, read_description
+from testbed.formation import fmu_step
+from testbed.formation.compiled_law import CompiledLaw
+from testbed.formation.control_step import Hbh23Law
+from testbed.formation.fmu_step import FmuStep
+from testbed.formation.law import FormationConfig
+
+_SETS = 3  # of instances without a state: of the flight, and two for the checks
+_LARGE = 1e9  # in place of an infinite bound
+_STATE = "FMUstate", "FMUState"  # in names of FMI 2.0 and 3.0
+_COMMAND = {
+    "fly-by-wire": ("pitch", "roll", "throttle"),
+    "velocity": (*("velocity_ned",) * 3, *("acceleration_ned",) * 3),
+    "unicycle": ("speed", *("omega",) * 3, "speed_desired", *("direction",) * 3),
+}
+
+
+class CallReport:
+    """The call of an FMU that a flight makes now, which also another process can read.
+
+    Args:
+        end_s: time of a step that is not made but an error, s.
+    """
+
+    CONSTANT = True  # for a saved flight
+
+    def __init__(self, end_s: float = math.inf) -> None:
+        self._memory = mmap.mmap(-1, mmap.PAGESIZE)  # shared with forked processes
+        numbers: NDArray[np.float64] = np.frombuffer(self._memory, dtype=np.float64)
+        self.values, self.end_s = numbers[:4], numbers[4:5]
+        self.values[:] = (0.0, 0.0, -1.0, 0.0)
+        self.end_s[0] = end_s
+
+    @property
+    def time_s(self) -> float:
+        """Time of the step, s."""
+        return float(self.values[0])
+
+    @property
+    def follower(self) -> int:
+        """Row of the follower among those of its law."""
+        return int(self.values[1])
+
+    @property
+    def call(self) -> int:
+        """Place of the function among `fmu_step`'s; negative: none is called now."""
+        return int(self.values[2])
+
+
+_shared: ContextVar[CallReport | None] = ContextVar("shared", default=None)
+
+
+@contextmanager
+def reporting_calls(report: CallReport) -> Iterator[None]:
+    """Let the laws that are built in the block report their calls here."""
+    token = _shared.set(report)
+    try:
+        yield
+    finally:
+        _shared.reset(token)
+
+
+class FmuLaw(CompiledLaw):
+    """An FMU as the law of n followers; see `CompiledLaw`.
+
+    Attributes:
+        library: its loaded binary.
+        has_state: its state is in the memory of the law; else each follower has an instance.
+    """
+
+    ALIKE = ("file",)
+    ADDRESSES = ("call", "_options", "_fmu")
+    __slots__ = (
+        *("library", "has_state", "_fmu", "_names", "_variables", "_start", "_next"),
+        "__weakref__",
+    )
+
+    def __init__(
+        self, library: FmuLibrary, variables: LawVariables, config: FormationConfig, hbh23: Records
+    ) -> None:
+        """Make the instances, and compile or load what steps them.
+
+        Args:
+            library: loaded.
+            variables: of the FMU.
+            config: of the followers.
+            hbh23: (n,) of LAW, for a desired velocity.
+
+        Raises:
+            InputError: the FMU makes no instance, or a function of it fails.
+        """
+        model = library.model
+        self.library, self._variables, self._names = library, variables, config.names
+        self.has_state, self._next = model.has_state, 0
+        values = [_values(variables, config, row) for row in range(len(config.names))]
+        sets = 1 if self.has_state else _SETS
+        instances = np.zeros((sets, len(config.names)), dtype=np.uint64)
+        for k in range(sets):
+            for row, name in enumerate(config.names):
+                instances[k, row] = library.instantiate(name, self)
+                library.initialise(int(instances[k, row]), variables.structural, values[row])
+        self._start: Callable[[int], None] = _Reset(library, variables, values, instances)
+        states = [library.state(int(each)) for each in instances[0]] if self.has_state else [b""]
+        size = len(states[0])
+        if any(len(each) != size for each in states) or (self.has_state and not size):
+            raise InputError(
+                f"{model.file}: its states have different sizes, or none (write one size for all)"
+            )
+        self._fmu = _make_step(library, variables, config, instances, states)
+        law = fmu_step.law_of_kind(variables.kind, size)
+        super().__init__(law, config, hbh23, (self._fmu,), code_digest(law))  # type: ignore[arg-type]
+        self.name, self.file = Path(model.file).name, model.file
+
+    @property
+    def why_not_saved(self) -> str:
+        """Why a flight with this law cannot be saved; "": it can."""
+        if self.has_state:
+            return ""
+        kind = _STATE[self.library.model.version - 2]
+        return (
+            f"{self.file}: its state can neither be saved nor restored (canGetAndSet{kind} and "
+            f"canSerialize{kind} are false: export it with both, or fly it by testbed run, "
+            "studies and Simulation without save)"
+        )
+
+    def start(self, own: OwnState) -> Records | None:
+        """Return the memory (n,) before the first step; without a state, of other instances."""
+        memory = super().start(own)
+        assert memory is not None, "declared"
+        if not self.has_state:
+            self._next = self._next % (_SETS - 1) + 1
+            self._start(self._next)
+            memory["instance"] = self._next
+        return memory
+
+    def raise_error(self, now: float) -> None:
+        """Raise an error that names the function of the FMU that has failed, if one has.
+
+        Raises:
+            InputError: it has.
+        """
+        if not self._failed[0]:
+            return
+        row, report = int(self._failed[0]) - 1, self._fmu.report
+        self._failed[0] = 0
+        call, status = int(report[2]), int(report[3])
+        place = f"{self.file}: {self._names[row]} at {now:g} s"
+        if call == fmu_step.STOPPED:
+            raise InputError(f"{place}: not stepped")
+        if call == fmu_step.NOT_FINITE:
+            outputs = _COMMAND[self._variables.kind]
+            found = zip(self._fmu.output_places, self._fmu.found[row], strict=True)
+            wrong = next((outputs[k] for k, each in found if not np.isfinite(each)), "output")
+            raise InputError(f"{place}: its {wrong} is not a finite number")
+        if call == fmu_step.OTHER_SIZE:
+            now_bytes, before = self._fmu.words[row, 1], self._fmu.state_bytes
+            raise InputError(
+                f"{place}: {self.library.size_function} is {now_bytes} and was {before} before "
+                "(write states of one size)"
+            )
+        names = call_names(self.library.model)
+        if 0 <= call < len(names):
+            text = self.library.describe_status(status)
+            raise InputError(f"{place}: {names[call]} returns {text}{self.library.last_words}")
+        raise InputError(f"{place}: its desired velocity is zero (write one with a direction)")
+
+
+class _Reset:
+    """Return sets of instances to their start."""
+
+    CONSTANT = True  # for a saved flight
+
+    def __init__(
+        self,
+        library: FmuLibrary,
+        variables: LawVariables,
+        values: list[list[Value]],
+        instances: NDArray[np.uint64],
+    ) -> None:
+        self._library, self._sizes = library, variables.structural
+        self._values, self._instances = values, instances
+
+    def __call__(self, number: int) -> None:
+        for instance, values in zip(self._instances[number], self._values, strict=True):
+            self._library.reset(int(instance))
+            self._library.initialise(int(instance), self._sizes, values)
+
+
+def call_names(model: ModelDescription) -> list[str]:
+    """Return the names of the functions of a step, in the order of their places."""
+    if model.version == 2:
+        of_state = "fmi2DeSerializeFMUstate fmi2SetFMUstate fmi2GetFMUstate "
+        of_state += "fmi2SerializedFMUstateSize fmi2SerializeFMUstate fmi2FreeFMUstate"
+        of_step = "fmi2SetReal fmi2SetBoolean fmi2DoStep fmi2GetReal"
+    else:
+        of_state = "fmi3DeserializeFMUState fmi3SetFMUState fmi3GetFMUState "
+        of_state += "fmi3SerializedFMUStateSize fmi3SerializeFMUState fmi3FreeFMUState"
+        of_step = "fmi3SetFloat64 fmi3SetBoolean fmi3DoStep fmi3GetFloat64"
+    return f"{of_step} {of_state}".split()
+
+
+_libraries: dict[tuple[str, str], FmuLibrary] = {}  # loaded in this process, by file and digest
+
+
+def load_fmu(path: Path) -> FmuLibrary:
+    """Read, check and load an FMU; one that is loaded is not loaded again.
+
+    Raises:
+        InputError: it cannot be used; the text begins with its path.
+    """
+    archive = Archive(path)
+    key = str(path), archive.digest
+    if key not in _libraries:
+        _libraries[key] = FmuLibrary(archive, read_description(archive))
+    return _libraries[key]
+
+
+def build_fmu(
+    path: Path,
+    names: Mapping[str, str],
+    options: Mapping[str, Any],
+    config: FormationConfig,
+    hbh23: Hbh23Law,
+    aircraft: int,
+) -> tuple[FmuLaw, LawVariables]:
+    """Build the law of an FMU.
+
+    Args:
+        path: of its file.
+        names: `controller.map`.
+        options: `controller.options`.
+        config: of the law's followers.
+        hbh23: the built-in law of these.
+        aircraft: N of the flight.
+
+    Raises:
+        InputError: the FMU cannot be used, or a variable of it does not fit.
+    """
+    library = load_fmu(path)
+    if library.model.single and aircraft > 2:
+        raise InputError(
+            f"{path}: canBeInstantiatedOnlyOncePerProcess is true, and each follower needs an "
+            "instance (export it so that several can be made)"
+        )
+    variables = match_variables(library.model, names, options, aircraft, config.dt)
+    return FmuLaw(library, variables, config, hbh23.law), variables
+
+
+def _values(variables: LawVariables, config: FormationConfig, row: int) -> list[Value]:
+    """Return the values of the parameters of a follower."""
+    return [Value(each.variable, _of_setting(each, config, row)) for each in variables.settings]
+
+
+def _of_setting(setting: Setting, config: FormationConfig, row: int) -> tuple[Any, ...]:
+    if not setting.name:
+        return setting.values
+    name = setting.name.removeprefix("config.")
+    if name in ("slot", "offsets"):
+        numbers = config.offsets if name == "offsets" else config.offsets[config.agents[row]]
+    else:
+        found: Any = getattr(config, name)
+        numbers = np.asarray(found[row] if np.ndim(found) else found)
+    flat = (float(numbers[each]) for each in setting.indices)
+    values = tuple(min(max(each, -_LARGE), _LARGE) for each in flat)
+    return tuple(map(int, values)) if setting.variable.type != "Float64" else values
+
+
+def _make_step(
+    library: FmuLibrary,
+    variables: LawVariables,
+    config: FormationConfig,
+    instances: NDArray[np.uint64],
+    states: list[bytes],
+) -> FmuStep:
+    """Return the data of the steps of n followers."""
+    model = library.model
+    n, aircraft = config.gains.shape[:2]
+    names = call_names(model)[: None if model.has_state else fmu_step.DESERIALIZE]
+    functions = [library.address(each) for each in names]
+    report = _shared.get() or CallReport()
+    size = len(states[0])
+    initial = np.zeros((n, fmu_step.state_words(size) * fmu_step.WORD), dtype=np.uint8)
+    for row, each in enumerate(states if size else ()):
+        initial[row, :size] = np.frombuffer(each, dtype=np.uint8)
+    rows = np.zeros(aircraft, dtype=np.intp)
+    rows[config.agents] = np.arange(n)
+    reals, flags, outputs = variables.inputs, variables.flags, variables.outputs
+    places = [_places(each) for each in (reals, flags, outputs)]
+    refs = [np.array([ref for ref, _ in each], dtype=np.uint32) for each in (reals, flags, outputs)]
+
+    def scratch(count: int) -> Array:
+        return np.zeros((n, count))
+
+    numbers = fmu_step.FIRST_MESSAGE + fmu_step.MESSAGE_SIZE * aircraft
+    return FmuStep(
+        functions=_fixed(np.array(functions + [0] * (10 - len(functions)), dtype=np.uint64)),
+        instances=_fixed(instances),
+        rows=_fixed(rows),
+        inputs=_fixed(refs[0]),
+        input_places=_fixed(places[0]),
+        flags=_fixed(refs[1]),
+        flag_places=_fixed(places[1]),
+        outputs=_fixed(refs[2]),
+        output_places=_fixed(places[2]),
+        numbers=scratch(numbers),
+        values=scratch(len(places[0])),
+        flag_values=np.zeros((n, 4 * len(places[1])), dtype=np.uint8),
+        found=scratch(len(places[2])),
+        command=scratch(fmu_step.COMMAND_SIZE),
+        words=np.zeros((n, 8), dtype=np.uint64),
+        initial=_fixed(initial.view(np.uint64)),
+        report=report.values,
+        stop_s=report.end_s,
+        version=model.version,
+        state_bytes=size,
+        aircraft=variables.aircraft,
+    )
+
+
+def _places(bound: list[tuple[int, tuple[int, ...]]]) -> NDArray[np.intp]:
+    return np.array([place for _, each in bound for place in each], dtype=np.intp)
+
+
+def _fixed(array: NDArray[Any]) -> NDArray[Any]:
+    """Make an array read-only, so that no saved flight writes it."""
+    array.flags.writeable = False
+    return array
