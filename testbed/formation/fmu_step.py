@@ -71,7 +71,7 @@ class FmuStep(NamedTuple):
     command: Array  # (n, COMMAND_SIZE) scratch
     words: Words  # (n, 8) scratch: the state, its size, what a step says
     initial: Words  # (n, W) state before the first step
-    report: Array  # (4,) time, follower, call and status of the present call
+    report: Array  # (4,) time, row among the N aircraft, call and status of the present call
     stop_s: Array  # (1,) time of the step that is not made, s
     version: int  # of FMI
     state_bytes: int  # 0: the state is in the instances
@@ -352,7 +352,7 @@ def step_fmu(
     """
     i = fmu.rows[config.agents]
     report = fmu.report
-    report[0], report[1], report[3] = now, i, 0.0
+    report[0], report[1], report[3] = now, config.agents, 0.0
     if now >= fmu.stop_s[0]:
         _refuse(fmu, STOPPED)
     instance = fmu.instances[memory.instance, i]

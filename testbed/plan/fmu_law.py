@@ -41,11 +41,13 @@ class CallReport:
 
     Args:
         end_s: time of a step that is not made but an error, s.
+        reason: of that error.
     """
 
     CONSTANT = True  # for a saved flight
 
-    def __init__(self, end_s: float = math.inf) -> None:
+    def __init__(self, end_s: float = math.inf, reason: str = "is not stepped") -> None:
+        self.reason = reason
         self._memory = mmap.mmap(-1, mmap.PAGESIZE)  # shared with forked processes
         numbers: NDArray[np.float64] = np.frombuffer(self._memory, dtype=np.float64)
         self.values, self.end_s = numbers[:4], numbers[4:5]
@@ -58,8 +60,8 @@ class CallReport:
         return float(self.values[0])
 
     @property
-    def follower(self) -> int:
-        """Row of the follower among those of its law."""
+    def aircraft(self) -> int:
+        """Row of the follower among the N aircraft."""
         return int(self.values[1])
 
     @property
@@ -92,7 +94,7 @@ class FmuLaw(CompiledLaw):
     ALIKE = ("file",)
     ADDRESSES = ("call", "_options", "_fmu")
     __slots__ = (
-        *("library", "has_state", "_fmu", "_names", "_variables", "_start", "_next"),
+        *("library", "has_state", "_fmu", "_names", "_variables", "_start", "_next", "_report"),
         "__weakref__",
     )
 
@@ -127,7 +129,8 @@ class FmuLaw(CompiledLaw):
             raise InputError(
                 f"{model.file}: its states have different sizes, or none (write one size for all)"
             )
-        self._fmu = _make_step(library, variables, config, instances, states)
+        self._report = _shared.get() or CallReport()
+        self._fmu = _make_step(library, variables, config, instances, states, self._report)
         law = fmu_step.law_of_kind(variables.kind, size)
         super().__init__(law, config, hbh23, (self._fmu,), code_digest(law))  # type: ignore[arg-type]
         self.name, self.file = Path(model.file).name, model.file
@@ -162,12 +165,12 @@ class FmuLaw(CompiledLaw):
         """
         if not self._failed[0]:
             return
-        row, report = int(self._failed[0]) - 1, self._fmu.report
+        row = int(self._failed[0]) - 1
         self._failed[0] = 0
-        call, status = int(report[2]), int(report[3])
+        call, status = self._report.call, int(self._report.values[3])
         place = f"{self.file}: {self._names[row]} at {now:g} s"
         if call == fmu_step.STOPPED:
-            raise InputError(f"{place}: not stepped")
+            raise InputError(f"{place}: {self._report.reason}")
         if call == fmu_step.NOT_FINITE:
             outputs = _COMMAND[self._variables.kind]
             found = zip(self._fmu.output_places, self._fmu.found[row], strict=True)
@@ -292,13 +295,13 @@ def _make_step(
     config: FormationConfig,
     instances: NDArray[np.uint64],
     states: list[bytes],
+    report: CallReport,
 ) -> FmuStep:
     """Return the data of the steps of n followers."""
     model = library.model
     n, aircraft = config.gains.shape[:2]
     names = call_names(model)[: None if model.has_state else fmu_step.DESERIALIZE]
     functions = [library.address(each) for each in names]
-    report = _shared.get() or CallReport()
     size = len(states[0])
     initial = np.zeros((n, fmu_step.state_words(size) * fmu_step.WORD), dtype=np.uint8)
     for row, each in enumerate(states if size else ()):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -52,6 +52,7 @@ from testbed.runs.flight_progress import (
     compiling_report,
     reporting_progress,
 )
+from testbed.runs.fmu_flight import fly_fmu, is_fmu
 from testbed.runs.stop_request import RunStopped, stop_on_signals
 from testbed.scenario import Scenario, SingleAircraft, find_loaded
 from testbed.scenario.arguments import check_calls, check_count, check_path
@@ -140,6 +141,9 @@ def run(
 ) -> Run:
     """Fly a scenario to its end.
 
+    A law that is an FMU flies in a forked process, unless there are observers or stages: a crash of
+    it then is a FlightError, and the log up to it is complete.
+
     Ctrl-C and SIGTERM end it after the current tick, or during a wait for ArduPlane, and all files
     are written. Another one within a second has no effect; a later one ends it within the tick and
     raises KeyboardInterrupt after all files are written.
@@ -166,6 +170,7 @@ def run(
         InputError: an argument is wrong, or the scenario cannot be flown; the message has what to
             write instead.
         LogError: the run directory or the log cannot be written.
+        FlightError: the law raises an exception, or is an FMU that crashes.
         ExternalProgramLost: an external program that the scenario needs has ended or does not
             respond.
     """
@@ -181,7 +186,20 @@ def run(
     if write and loaded.log.mcap:
         check_disk(loaded, folder or LOGS)
     with reporting_progress(progress, loaded.name) as report:
-        return _fly(loaded, folder, write, report, observers, external, processes, stages)
+        if observers or stages or not is_fmu(loaded):
+            return _fly(loaded, folder, write, report, observers, external, processes, stages)
+
+        def fly(
+            out: Path | None,
+            report: Report | None,
+            external: ExternalOptions,
+            begun: Callable[[Path | None], None],
+        ) -> tuple[Metrics, Path | None]:
+            found = _fly(loaded, out, write, report, (), external, processes, (), begun)
+            return found.metrics, found.directory
+
+        metrics, directory = fly_fmu(loaded, fly, folder, report, external)
+        return Run(loaded, metrics, directory)
 
 
 def _fly(
@@ -193,8 +211,12 @@ def _fly(
     external: ExternalOptions,
     processes: int | None,
     stages: Sequence[UserStage],
+    begun: Callable[[Path | None], None] = lambda directory: None,
 ) -> Run:
-    """Fly a scenario; the arguments are checked, see `run`."""
+    """Fly a scenario; the arguments are checked, see `run`.
+
+    `begun` is called with the directory when that has been made.
+    """
     compiling = compiling_report(report)
     if report is not None:
         observers = [FlightProgress(report), *observers]
@@ -220,6 +242,7 @@ def _fly(
         for line in announcements(external, loaded):
             external.announce(line)
         directory = open_run_directory(loaded, world, folder) if write else None
+        begun(directory)
         if server and directory and external.tlog:
             server.log_to(directory / TLOG_NAME)
         meter = MetricsObserver(published=loaded.published, stop_at=stop_bounds(loaded))
