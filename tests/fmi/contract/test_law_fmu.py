@@ -1,0 +1,206 @@
+"""Formation laws that are FMUs: equal to a class and between versions, saved and restored."""
+
+import os
+import subprocess
+
+import numpy as np
+import pytest
+from c_fmus import law_fmu, need_compiler
+from commands import call_command, environment
+
+import testbed
+from testbed.core.errors import FlightError, InputError
+from testbed.logs.read import read_log
+from testbed.plan.world import build
+from testbed.scenario import load_scenario, set_duration
+
+DURATION_S = float(os.environ.get("TESTBED_FMU_FLIGHT_S", "30"))
+SCENARIO = """
+extends: own-law-leader-follower
+scenario: {{name: {name}}}
+controller: {{law: {name}.fmu, options: {{field_per_m: 0.03}}}}
+"""
+
+
+def write_law(folder, name, *definitions, **how):
+    """Write an FMU and its scenario; return the file of the scenario."""
+    law_fmu(folder / f"{name}.fmu", *definitions, **how)
+    file = folder / f"{name}.yaml"
+    file.write_text(SCENARIO.format(name=name))
+    return file
+
+
+def fly(scenario, folder, *changes, duration_s=DURATION_S):
+    """Fly a scenario; return its log."""
+    flown = set_duration(load_scenario(scenario, changes), duration_s)
+    out = folder / f"run{len(list(folder.iterdir()))}"
+    assert testbed.run(flown, out=out).outcome == "completed"
+    return read_log(out / "run.mcap")
+
+
+@pytest.fixture(scope="module")
+def laws(tmp_path_factory):
+    """Folder with the law as an FMU of 2.0, of 3.0, and of 2.0 without a state."""
+    need_compiler()
+    folder = tmp_path_factory.mktemp("fmus")
+    write_law(folder, "two")
+    write_law(folder, "three", version=3, aircraft=3)
+    write_law(folder, "stateless", state=False)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def logs(laws):
+    """Log of each law, and of the class that it is a copy of."""
+    names = "own-law-leader-follower", *(laws / f"{each}.yaml" for each in ("two", "three"))
+    return [fly(each, laws) for each in names]
+
+
+def same_motion(one, two):
+    """Whether every bit of two motions is equal."""
+    ours, theirs = one.truth.position_ned, two.truth.position_ned
+    return np.array_equal(ours, theirs, equal_nan=True)
+
+
+def test_fmu_flies_as_class(logs):
+    """Positions are within 1e-6 m; libm's last bits are others than NumPy's."""
+    of_class, two, _ = (each.truth.position_ned for each in logs)
+    apart = np.abs(of_class - two).max()
+    assert 0.0 < apart < 1e-6
+
+
+def test_fmi_3_equals_fmi_2(logs):
+    """Arrays of N aircraft fly as scalars of the leader, to the bit; other options do not."""
+    assert same_motion(*logs[1:])
+
+
+def test_options_are_parameters(laws, logs):
+    """A parameter of the FMU has the value of the scenario."""
+    other = fly(laws / "two.yaml", laws, "controller.options.closing=0.31", duration_s=10.0)
+    n = len(other.tick)
+    assert not np.array_equal(other.truth.position_ned, logs[1].truth.position_ned[:n])
+
+
+def test_restored_flight_repeats_to_the_bit(laws):
+    """Saved at 4 s, flown to 8 s, restored and flown again."""
+    with testbed.Simulation(laws / "two.yaml") as simulation:
+        simulation.step(until=4.0)
+        saved = simulation.save()
+        first = simulation.step(until=8.0).truth.position_ned.copy()
+        simulation.restore(saved)
+        again = simulation.step(until=8.0).truth.position_ned.copy()
+        simulation.restore(saved)
+        assert not np.array_equal(simulation.state.truth.position_ned, again)
+    assert np.array_equal(first, again)
+
+
+def test_batch_flies_as_run(laws):
+    """Rows with lost messages, in two threads, equal flights alone."""
+    changes = ["network.loss=0.2"]
+    batch = testbed.Batch(laws / "three.yaml", changes, seeds=[1, 2, 1], threads=2, duration_s=8.0)
+    metrics = batch.run()
+    alone = [
+        testbed.run(laws / "three.yaml", changes, seed=k, duration_s=8.0, write=False).metrics
+        for k in (1, 2)
+    ]
+    ours = [each["max_error_m"] for each in metrics]
+    assert ours == [alone[k]["max_error_m"] for k in (0, 1, 0)]
+    assert ours[0] != ours[1]
+
+
+def test_without_state_flies_and_is_not_saved(laws, logs):
+    """It flies as the one with a state; save and Batch name the file and the flag."""
+    log = fly(laws / "stateless.yaml", laws, duration_s=10.0)
+    n = len(log.tick)
+    assert np.array_equal(log.truth.position_ned, logs[1].truth.position_ned[:n], equal_nan=True)
+    with testbed.Simulation(laws / "stateless.yaml") as simulation:
+        simulation.step(until=1.0)
+        with pytest.raises(InputError, match=r"stateless\.fmu: its state .*canGetAndSetFMUstate"):
+            simulation.save()
+        at_1 = simulation.state.truth.position_ned.copy()
+        simulation.reset()
+        assert np.array_equal(simulation.step(until=1.0).truth.position_ned, at_1)
+    with pytest.raises(InputError, match=r"stateless\.fmu: its state"):
+        testbed.Batch(laws / "stateless.yaml")
+
+
+@pytest.mark.parametrize(
+    ("definition", "how", "text"),
+    [
+        ("LEFT_OUT", {}, "does not carry its memory .*serialised state"),
+        ("SHARED", {"state": False}, "returns another|does not carry|only inputs of"),
+        ("NO_RESET", {"state": False}, "for the same input .*reset function"),
+        ("FAIL_S=0.1", {}, r"at 0\.12 s: fmi2DoStep returns fmi2Error"),
+        ("FAIL_S=0.1", {"version": 3}, r"at 0\.12 s: fmi3DoStep returns fmi3Error"),
+        ("NOT_FINITE_S=0.1", {}, "its roll is not a finite number"),
+        ("GROWS_S=0.1", {}, "fmi2SerializedFMUstateSize is"),
+    ],
+)
+def test_faulty_fmu_is_refused(tmp_path, definition, how, text):
+    """What breaks the contract is an error of validation with the FMU's name."""
+    need_compiler()
+    file = write_law(tmp_path, "faulty", definition, **how)
+    with pytest.raises(InputError, match=rf"faulty\.fmu.*({text})"):
+        build(load_scenario(file))
+
+
+def test_error_in_flight_names_fmu_and_follower(tmp_path):
+    """A function that fails in flight ends it with file, follower, time and function."""
+    need_compiler()
+    file = write_law(tmp_path, "failing", "FAIL_S=2.0")
+    text = r"failing\.fmu: uav1 at 2\.04 s: fmi2DoStep returns fmi2Error"
+    with pytest.raises(FlightError, match=text):
+        testbed.run(file, duration_s=5.0, write=False)
+
+
+def test_crash_leaves_a_complete_log(tmp_path):
+    """A segmentation fault is an error with the FMU's name; the log ends before that step."""
+    need_compiler()
+    file = write_law(tmp_path, "crashing", "CRASH_S=5.0")
+    text = r"crashing\.fmu: uav1 at 5\.04 s: crashed \(SIGSEGV\) when told to step"
+    with pytest.raises(FlightError, match=text):
+        testbed.run(file, duration_s=10.0, out=tmp_path / "cut")
+    log = read_log(tmp_path / "cut" / "run.mcap")
+    assert log.finished and log.time_s[-1] == pytest.approx(5.0, abs=0.1)
+    assert log.metrics["outcome"] == "failed"
+    whole = fly(write_law(tmp_path, "sound"), tmp_path, duration_s=6.0)
+    n = len(log.tick)
+    assert np.array_equal(log.truth.position_ned, whole.truth.position_ned[:n])
+
+
+def test_crash_before_flight_is_an_error(tmp_path):
+    """Where no instance can be made, `validate` exits with 2 and one line."""
+    need_compiler()
+    file = write_law(tmp_path, "dead", "CRASH_AT_ONCE")
+    done = call_command("validate", file, cwd=tmp_path, code=2, columns=200)
+    [line] = done.stderr.splitlines()
+    assert "dead.fmu: crashed (SIGSEGV) when it was loaded or initialised" in line
+
+
+def test_run_keeps_the_fmu(laws):
+    """The run directory has a copy, with which its scenario flies; the digest is printed."""
+    out = laws / "kept"
+    testbed.run(laws / "two.yaml", duration_s=2.0, out=out)
+    assert (out / "two.fmu").read_bytes() == (laws / "two.fmu").read_bytes()
+    assert load_scenario(out / "scenario.resolved.yaml").controller.law == str(out / "two.fmu")
+    done = call_command("validate", out / "scenario.resolved.yaml", cwd=laws, code=0, columns=200)
+    assert "runs the FMU two.fmu (SHA-256 " in done.stderr
+
+
+def test_new_fmu_law_builds_and_flies(tmp_path):
+    """`testbed new law --fmu`: its commands build it, and it flies as the kernel of `new law`."""
+    need_compiler()
+    done = call_command("new", "law", "mine", "--fmu", cwd=tmp_path, code=0, columns=200)
+    lines = [each.strip() for each in done.stdout.splitlines()]
+    commands = lines[2 : lines.index("cd -")]
+    assert any(each.startswith("cc ") for each in commands)
+    folder = tmp_path / "mine" / "mine-fmu"
+    subprocess.run(["sh", "-ec", "\n".join(commands)], cwd=folder, check=True,
+                   env=environment(80))  # fmt: skip
+    call_command("new", "law", "other", cwd=tmp_path, code=0, columns=200)
+    errors = [
+        testbed.run(tmp_path / f"{each}/{each}.yaml", duration_s=20.0, write=False)
+        .metrics["max_error_m"]
+        for each in ("mine", "other")
+    ]  # fmt: skip
+    assert errors[0] == pytest.approx(errors[1], abs=1e-6)
