@@ -74,6 +74,11 @@ PARTS = (
         parallel=False,
     ),
     Part(
+        "laws that are FMUs beside the class",
+        "all of Simulation 3",
+        "TESTBED_FMU_FLIGHT_S=1080 pytest tests/fmi/contract/test_law_fmu.py",
+    ),
+    Part(
         "false claims of a benchmark between equal laws",
         "4,000 pages",
         "TESTBED_BENCHMARK_PAGES=4000 pytest tests/benchmark/equations/test_score.py",

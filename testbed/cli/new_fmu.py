@@ -14,7 +14,7 @@ _AXES = ("north", "east", "down")
 _SLOT = ("forward", "right", "down")
 
 
-class Variable(NamedTuple):
+class LawNumber(NamedTuple):
     """A number of the law: its field in the contract, and its place in C."""
 
     name: str
@@ -27,31 +27,31 @@ class Variable(NamedTuple):
 
 def _vector(
     name: str, constant: str, causality: str, unit: str, meaning: str, axes: Sequence[str] = _AXES
-) -> Iterator[Variable]:
+) -> Iterator[LawNumber]:
     open_, close = ("", "]") if name.endswith(",") else ("[", "]")
     for k, axis in enumerate(axes):
         own = constant if k == 0 else ""
         text = f"{meaning}, {axis}"
-        yield Variable(f"{name}{open_}{k + 1}{close}", own, causality, unit, 0.0, text)
+        yield LawNumber(f"{name}{open_}{k + 1}{close}", own, causality, unit, 0.0, text)
 
 
 VARIABLES = (
     *_vector("own.position_ned", "OWN_POSITION", "input", "m", "own position"),
     *_vector("own.velocity_ned", "OWN_VELOCITY", "input", "m/s", "own velocity over the ground"),
-    Variable("inbox.age_s[1]", "AGE", "input", "s", 0.0, "time since the leader's message arrived"),
+    LawNumber("inbox.age_s[1]", "AGE", "input", "s", 0.0, "time since the leader's message"),
     *_vector("inbox.position_ned[1,", "LEADER_POSITION", "input", "m", "leader's position"),
     *_vector("inbox.velocity_ned[1,", "LEADER_VELOCITY", "input", "m/s", "leader's velocity"),
     *_vector(
         "inbox.acceleration_ned[1,",
         *("LEADER_ACCELERATION", "input", "m/s2", "leader's acceleration"),
     ),
-    Variable("inbox.turn_rate[1]", "LEADER_TURN_RATE", "input", "rad/s", 0.0, "rate of its course"),
+    LawNumber("inbox.turn_rate[1]", "LEADER_TURN_RATE", "input", "rad/s", 0.0, "its course's rate"),
     *_vector("config.slot", "SLOT", "parameter", "m", "own slot from the leader", _SLOT),
-    Variable(
+    LawNumber(
         *("config.leader_timeout_s", "LEADER_TIMEOUT", "parameter", "s", 1.0),
         "age of a message that is not used",
     ),
-    Variable("closing_per_s", "CLOSING", "parameter", "1/s", 0.3, "how fast errors are closed"),
+    LawNumber("closing_per_s", "CLOSING", "parameter", "1/s", 0.3, "how fast errors are closed"),
     *_vector("velocity_ned", "DESIRED", "output", "m/s", "desired velocity"),
     *_vector(
         "acceleration_ned", "DESIRED_ACCELERATION", "output", "m/s2", "derivative of its value"

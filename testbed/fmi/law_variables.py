@@ -100,7 +100,7 @@ _WHOLE = tuple(f"{sign}Int{bits}" for sign in ("", "U") for bits in (8, 16, 32, 
 
 
 @dataclass(frozen=True, slots=True)
-class Setting:
+class ParameterSetting:
     """Values that a parameter has before a flight: numbers of a field, or an option's.
 
     Attributes:
@@ -134,7 +134,7 @@ class LawVariables:
     inputs: list[tuple[int, tuple[int, ...]]] = field(default_factory=list)
     flags: list[tuple[int, tuple[int, ...]]] = field(default_factory=list)
     outputs: list[tuple[int, tuple[int, ...]]] = field(default_factory=list)
-    settings: list[Setting] = field(default_factory=list)
+    settings: list[ParameterSetting] = field(default_factory=list)
     structural: dict[str, int] = field(default_factory=dict)
     aircraft: int = 0
 
@@ -251,7 +251,7 @@ class _Matching:
         known = PARAMETERS[name]
         self._check(variable, known, ("Float64", *(_WHOLE if name == "config.agents" else ())))
         numbers = self._numbers(variable, name, known, indices)
-        self._found.settings.append(Setting(variable, name, tuple(numbers)))
+        self._found.settings.append(ParameterSetting(variable, name, tuple(numbers)))
 
     def _option(self, variable: Variable, base: str, indices: tuple[int, ...]) -> None:
         """Set a parameter of the law's own, where the options have a value of its name."""
@@ -276,7 +276,7 @@ class _Matching:
                     f"{len(values)} (write {size})",
                 )
             self._found.settings.append(
-                Setting(
+                ParameterSetting(
                     variable, values=tuple(self._option_value(variable, key, v) for v in values)
                 )
             )

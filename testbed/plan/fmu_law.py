@@ -18,7 +18,7 @@ from testbed.core.errors import InputError
 from testbed.core.records import Array, OwnState, Records
 from testbed.fmi.archive import Archive
 from testbed.fmi.instances import FmuLibrary, Value
-from testbed.fmi.law_variables import LawVariables, Setting, match_variables
+from testbed.fmi.law_variables import LawVariables, ParameterSetting, match_variables
 from testbed.fmi.model_description import ModelDescription, read_description
 from testbed.formation import fmu_step
 from testbed.formation.compiled_law import CompiledLaw
@@ -275,7 +275,7 @@ def _values(variables: LawVariables, config: FormationConfig, row: int) -> list[
     return [Value(each.variable, _of_setting(each, config, row)) for each in variables.settings]
 
 
-def _of_setting(setting: Setting, config: FormationConfig, row: int) -> tuple[Any, ...]:
+def _of_setting(setting: ParameterSetting, config: FormationConfig, row: int) -> tuple[Any, ...]:
     if not setting.name:
         return setting.values
     name = setting.name.removeprefix("config.")

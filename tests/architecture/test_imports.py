@@ -208,6 +208,7 @@ OPENING = {
     "logs.mcap_file": "a new file of its own",
     "mavlink.tlog": "a new file in a new run directory, or at a path that was checked",
     "link.ends": "a serial device",
+    "fmi.archive": "new files in a temporary folder of its own",
     "studies.journal": "checks that it is a regular file; opened to write, a pipe does not block",
     "ardupilot.sitl_process": "files in a temporary folder of its own",
     "airframes.forked_trial": "a pipe to its own child, and the null device",
@@ -323,6 +324,7 @@ RUNS_CODE = {
     "pickle": {
         "core.machine_code",  # kept files, whose folder no other user may write
         "plan.user_code",  # dumps only: whether a law's memory has changed
+        "runs.forked",  # what its own child sends
         "views.feeder_process",  # what its own parent sends
         "views.view",
     },
