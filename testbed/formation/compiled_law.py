@@ -207,6 +207,7 @@ class CompiledLaw:
     """
 
     ALIKE = ("name",)  # another law has another memory
+    MAY_WRITE = True  # its code is a user's, whose writes to the configuration are found
     __slots__ = (
         *("name", "file", "own", "inbox", "command", "call", "outputs"),
         *("_kernel", "_config", "_options", "_memory", "_failed", "_gains", "_given"),
@@ -257,11 +258,14 @@ class CompiledLaw:
         self._memory = None if memory is None else allocate(memory, n)
         self._failed = np.zeros(1, dtype=np.intp)  # follower + 1; 0: none
         own, inbox = (type(each)(*map(_read_only, each)) for each in (self.own, self.inbox))
+        words = self._gains.shape[1] if self.MAY_WRITE else 0
+        compared = (each[:, :words] for each in (self._gains, self._given))
         self.call = Call(
             entry_of_user_code(_make_step(law, memory is not None), digest),
             *(own, inbox, () if self._memory is None else self._memory),
             *(self._config, options, self.command, self._failed),
-            *(_read_only(self._gains), self._given, NOW),
+            *map(_read_only, compared),
+            NOW,
         )
         self.call.prepare()
 

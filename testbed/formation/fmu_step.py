@@ -11,14 +11,13 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable
 from math import isnan
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba.core import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from testbed.core.call_list import Words
 from testbed.core.compile import is_interpreted
 from testbed.core.compile import kernel as core_kernel
 from testbed.core.records import (
@@ -48,34 +47,31 @@ COMMAND_SIZE = 8  # numbers of a command; of fly-by-wire A 3, of a velocity 6
 SET_REAL, SET_BOOLEAN, DO_STEP, GET_REAL = 0, 1, 2, 3
 DESERIALIZE, SET_STATE, GET_STATE, STATE_SIZE, SERIALIZE, FREE_STATE = 4, 5, 6, 7, 8, 9
 STOPPED, OTHER_SIZE, NOT_FINITE = 10, 11, 12  # what else ends a step
-WARNING: Final = 1  # the largest status of a call that has worked
+WARNING, DISCARD = 1, 2  # the largest status of a call that has worked; that of an FMU that ends
 WORD = 8  # bytes
 
 
-class FmuStep(NamedTuple):
-    """What a step of an FMU needs, for n followers of N aircraft."""
+# Columns of the words of a follower.
+VERSION, STATE_BYTES, AIRCRAFT, FUNCTIONS = 0, 1, 2, 3  # of FMI; 0: no state; of whose messages
+INPUT_REFS, INPUT_COUNT, INPUT_VALUES = 13, 14, 15  # address of value references, their number
+FLAG_REFS, FLAG_COUNT, FLAG_VALUES = 16, 17, 18
+OUTPUT_REFS, OUTPUT_COUNT, OUTPUT_VALUES = 19, 20, 21
+INITIAL = 22  # address of the state before the first step
+VALUES_AT, FOUND_AT, COMMAND_AT = 23, 24, 25  # columns of the numbers
+STATE, SIZE, SAYS, INSTANCES, FLAGS_AT = 26, 27, 28, 32, 35  # scratch; addresses; flags
+TIME_S, ROW, CALL, STATUS, STOP_S = 0, 1, 2, 3, 4  # places of a report
 
-    functions: Words  # (10,) addresses
-    instances: Words  # (S, n) addresses of instances; S: sets of them, 1 where there is a state
-    rows: Indices  # (N,) row of an aircraft among the followers
-    inputs: NDArray[np.uint32]  # (k,) value references of real inputs
-    input_places: Indices  # (v,) places of their values
-    flags: NDArray[np.uint32]  # (b,) value references of Boolean inputs
-    flag_places: Indices  # (c,) places of their values
-    outputs: NDArray[np.uint32]  # (o,) value references of outputs
-    output_places: Indices  # (w,) places of their values in the command
-    numbers: Array  # (n, F) inputs, scratch
-    values: Array  # (n, v) scratch
-    flag_values: NDArray[np.uint8]  # (n, 4 c) scratch
-    found: Array  # (n, w) scratch
-    command: Array  # (n, COMMAND_SIZE) scratch
-    words: Words  # (n, 8) scratch: the state, its size, what a step says
-    initial: Words  # (n, W) state before the first step
-    report: Array  # (4,) time, row among the N aircraft, call and status of the present call
-    stop_s: Array  # (1,) time of the step that is not made, s
-    version: int  # of FMI
-    state_bytes: int  # 0: the state is in the instances
-    aircraft: int  # of which messages are inputs
+
+class FmuStep(NamedTuple):
+    """What steps of an FMU need, for N aircraft; rows of those that are no followers are empty.
+
+    Few arrays: each one costs time in each call of a kernel.
+    """
+
+    words: NDArray[np.int64]  # (N, K) counts and addresses, and scratch
+    places: Indices  # (P,) of the values of real inputs, Boolean inputs, and outputs
+    numbers: Array  # (N, F) scratch: inputs, their values, outputs, and the command
+    report: Array  # (5,) of the present call; and the time of a step that is not made, s
 
 
 def memory_fields(state_bytes: int) -> list[tuple[Any, ...]]:
@@ -170,22 +166,22 @@ _step_2, _step_3 = _make_call("LDDL", _of_step_2), _make_call("LDDLLLLL", _of_st
 
 
 @core_kernel
-def _begin(fmu: FmuStep, call: int) -> None:
+def _begin(report: Array, call: int) -> None:
     """Report a call before it is made: it may not return."""
-    fmu.report[2] = call
+    report[CALL] = call
 
 
 @core_kernel
-def _check(fmu: FmuStep, status: int) -> None:
+def _check(report: Array, status: int) -> None:
     """Raise an error unless a call has worked."""
-    fmu.report[3] = status
+    report[STATUS] = status
     if status < 0 or status > WARNING:
         raise ValueError("a function of the FMU has failed")
 
 
 @core_kernel
-def _refuse(fmu: FmuStep, reason: int) -> None:
-    fmu.report[2] = reason
+def _refuse(report: Array, reason: int) -> None:
+    report[CALL] = reason
     raise ValueError("the FMU cannot be stepped")
 
 
@@ -236,109 +232,100 @@ def write_numbers(now: float, own: OwnState, inbox: Inbox, aircraft: int, number
 
 
 @core_kernel
-def _restore(fmu: FmuStep, i: int, instance: int, memory: Values) -> None:
-    """Set the state of an instance to that of the memory, or to the one before the first step."""
-    words = fmu.words[i]
-    source = memory.state if memory.steps > 0 else fmu.initial[i]
-    words[0] = 0
-    _begin(fmu, DESERIALIZE)
-    _check(
-        fmu,
-        _call_4(
-            fmu.functions[DESERIALIZE],
-            instance,
-            source.ctypes.data,
-            fmu.state_bytes,
-            words.ctypes.data,
-        ),
-    )
-    _begin(fmu, SET_STATE)
-    _check(fmu, _call_2(fmu.functions[SET_STATE], instance, words[0]))
-
-
-@core_kernel
-def _keep(fmu: FmuStep, i: int, instance: int, memory: Values) -> None:
-    """Write the state of an instance into the memory."""
-    words = fmu.words[i]
+def _restore(words: NDArray[np.int64], instance: int, source: int, report: Array) -> None:
+    """Set the state of an instance to the bytes at an address."""
+    words[STATE] = 0
     at = words.ctypes.data
-    _begin(fmu, GET_STATE)
-    _check(fmu, _call_2(fmu.functions[GET_STATE], instance, at))
-    _begin(fmu, STATE_SIZE)
-    _check(fmu, _call_3(fmu.functions[STATE_SIZE], instance, words[0], at + WORD))
-    if words[1] != fmu.state_bytes:
-        _refuse(fmu, OTHER_SIZE)
-    _begin(fmu, SERIALIZE)
-    _check(
-        fmu,
-        _call_4(
-            fmu.functions[SERIALIZE], instance, words[0], memory.state.ctypes.data, fmu.state_bytes
-        ),
-    )
-    _begin(fmu, FREE_STATE)
-    _check(fmu, _call_2(fmu.functions[FREE_STATE], instance, at))
+    _begin(report, DESERIALIZE)
+    f, size = words[FUNCTIONS + DESERIALIZE], words[STATE_BYTES]
+    _check(report, _call_4(f, instance, source, size, at + STATE * WORD))
+    _begin(report, SET_STATE)
+    _check(report, _call_2(words[FUNCTIONS + SET_STATE], instance, words[STATE]))
 
 
 @core_kernel
-def _set_inputs(fmu: FmuStep, i: int, instance: int) -> None:
-    numbers, values, flags = fmu.numbers[i], fmu.values[i], fmu.flag_values[i]
-    count, flagged = len(fmu.input_places), len(fmu.flag_places)
+def _keep(words: NDArray[np.int64], instance: int, target: int, report: Array) -> None:
+    """Write the state of an instance to an address."""
+    at = words.ctypes.data
+    _begin(report, GET_STATE)
+    _check(report, _call_2(words[FUNCTIONS + GET_STATE], instance, at + STATE * WORD))
+    _begin(report, STATE_SIZE)
+    f, state = words[FUNCTIONS + STATE_SIZE], words[STATE]
+    _check(report, _call_3(f, instance, state, at + SIZE * WORD))
+    size = words[STATE_BYTES]
+    if words[SIZE] != size:
+        _refuse(report, OTHER_SIZE)
+    _begin(report, SERIALIZE)
+    _check(report, _call_4(words[FUNCTIONS + SERIALIZE], instance, state, target, size))
+    _begin(report, FREE_STATE)
+    _check(report, _call_2(words[FUNCTIONS + FREE_STATE], instance, at + STATE * WORD))
+
+
+@core_kernel
+def _set_inputs(
+    words: NDArray[np.int64], instance: int, places: Indices, numbers: Array, report: Array
+) -> None:
+    of_2, count, flagged = words[VERSION] == 2, words[INPUT_VALUES], words[FLAG_VALUES]
     if count:
+        first = words[VALUES_AT]
         for k in range(count):
-            values[k] = numbers[fmu.input_places[k]]
-        f, refs, at = fmu.functions[SET_REAL], fmu.inputs.ctypes.data, values.ctypes.data
-        _begin(fmu, SET_REAL)
-        if fmu.version == 2:
-            _check(fmu, _call_4(f, instance, refs, len(fmu.inputs), at))
+            numbers[first + k] = numbers[places[k]]
+        f, refs, n = words[FUNCTIONS + SET_REAL], words[INPUT_REFS], words[INPUT_COUNT]
+        at = numbers.ctypes.data + first * WORD
+        _begin(report, SET_REAL)
+        if of_2:
+            _check(report, _call_4(f, instance, refs, n, at))
         else:
-            _check(fmu, _call_5(f, instance, refs, len(fmu.inputs), at, count))
+            _check(report, _call_5(f, instance, refs, n, at, count))
     if flagged:
-        size = 4 if fmu.version == 2 else 1  # of a Boolean, little-endian
+        size, flags = (4 if of_2 else 1), words[FLAGS_AT:].view(np.uint8)  # little-endian
         for k in range(flagged):
-            flags[size * k] = 1 if numbers[fmu.flag_places[k]] != 0.0 else 0
-        f, refs, at = fmu.functions[SET_BOOLEAN], fmu.flags.ctypes.data, flags.ctypes.data
-        _begin(fmu, SET_BOOLEAN)
-        if fmu.version == 2:
-            _check(fmu, _call_4(f, instance, refs, len(fmu.flags), at))
+            flags[size * k] = 1 if numbers[places[count + k]] != 0.0 else 0
+        f, refs, n = words[FUNCTIONS + SET_BOOLEAN], words[FLAG_REFS], words[FLAG_COUNT]
+        at = words.ctypes.data + FLAGS_AT * WORD
+        _begin(report, SET_BOOLEAN)
+        if of_2:
+            _check(report, _call_4(f, instance, refs, n, at))
         else:
-            _check(fmu, _call_5(f, instance, refs, len(fmu.flags), at, flagged))
+            _check(report, _call_5(f, instance, refs, n, at, flagged))
 
 
 @core_kernel
-def _do_step(fmu: FmuStep, i: int, instance: int, begin_s: float, dt: float) -> None:
-    f, keeps = fmu.functions[DO_STEP], 0 if fmu.state_bytes else 1
-    _begin(fmu, DO_STEP)
-    if fmu.version == 2:
-        _check(fmu, _step_2(f, instance, begin_s, dt, keeps))
+def _do_step(
+    words: NDArray[np.int64], instance: int, begin_s: float, dt: float, report: Array
+) -> None:
+    f, keeps = words[FUNCTIONS + DO_STEP], 0 if words[STATE_BYTES] else 1
+    _begin(report, DO_STEP)
+    if words[VERSION] == 2:
+        _check(report, _step_2(f, instance, begin_s, dt, keeps))
         return
-    at = fmu.words[i].ctypes.data
-    for k in range(2, 6):
-        fmu.words[i, k] = 0
-    _check(
-        fmu,
-        _step_3(
-            f, instance, begin_s, dt, keeps,
-            at + 2 * WORD, at + 3 * WORD, at + 4 * WORD, at + 5 * WORD,
-        ),
-    )  # fmt: skip
-    if (fmu.words[i, 3] & 0xFF) or (fmu.words[i, 4] & 0xFF):  # it terminates, or has returned early
-        fmu.report[3] = 2
-        raise ValueError("the FMU has ended")
+    at = words.ctypes.data + SAYS * WORD
+    for k in range(4):
+        words[SAYS + k] = 0
+    event, ends, early, last = at, at + WORD, at + 2 * WORD, at + 3 * WORD
+    _check(report, _step_3(f, instance, begin_s, dt, keeps, event, ends, early, last))
+    if (words[SAYS + 1] & 0xFF) or (words[SAYS + 2] & 0xFF):  # it ends, or has returned early
+        _check(report, DISCARD)
 
 
 @core_kernel
-def _get_outputs(fmu: FmuStep, i: int, instance: int) -> None:
-    found, command = fmu.found[i], fmu.command[i]
-    count = len(fmu.output_places)
-    f, refs, at = fmu.functions[GET_REAL], fmu.outputs.ctypes.data, found.ctypes.data
-    _begin(fmu, GET_REAL)
-    if fmu.version == 2:
-        _check(fmu, _call_4(f, instance, refs, len(fmu.outputs), at))
+def _get_outputs(
+    words: NDArray[np.int64], instance: int, places: Indices, numbers: Array, report: Array
+) -> None:
+    first, count, command = words[FOUND_AT], words[OUTPUT_VALUES], words[COMMAND_AT]
+    f, refs, n = words[FUNCTIONS + GET_REAL], words[OUTPUT_REFS], words[OUTPUT_COUNT]
+    at = numbers.ctypes.data + first * WORD
+    _begin(report, GET_REAL)
+    if words[VERSION] == 2:
+        _check(report, _call_4(f, instance, refs, n, at))
     else:
-        _check(fmu, _call_5(f, instance, refs, len(fmu.outputs), at, count))
+        _check(report, _call_5(f, instance, refs, n, at, count))
+    skipped = words[INPUT_VALUES] + words[FLAG_VALUES]
     for k in range(count):
-        command[fmu.output_places[k]] = found[k]
-        if not abs(found[k]) < np.inf:
-            _refuse(fmu, NOT_FINITE)
+        value = numbers[first + k]
+        numbers[command + places[skipped + k]] = value
+        if not abs(value) < np.inf:
+            _refuse(report, NOT_FINITE)
 
 
 @core_kernel
@@ -350,23 +337,25 @@ def step_fmu(
     Raises:
         ValueError: a call has failed; the report has which.
     """
-    i = fmu.rows[config.agents]
-    report = fmu.report
-    report[0], report[1], report[3] = now, config.agents, 0.0
-    if now >= fmu.stop_s[0]:
-        _refuse(fmu, STOPPED)
-    instance = fmu.instances[memory.instance, i]
-    if fmu.state_bytes:
-        _restore(fmu, i, instance, memory)
-    write_numbers(now, own, inbox, fmu.aircraft, fmu.numbers[i])
-    _set_inputs(fmu, i, instance)
-    _do_step(fmu, i, instance, memory.steps * config.dt, config.dt)
-    _get_outputs(fmu, i, instance)
-    if fmu.state_bytes:
-        _keep(fmu, i, instance, memory)
+    report, row = fmu.report, config.agents
+    words, numbers, places = fmu.words[row], fmu.numbers[row], fmu.places
+    report[TIME_S], report[ROW], report[STATUS] = now, row, 0.0
+    if now >= report[STOP_S]:
+        _refuse(report, STOPPED)
+    instance, kept = words[INSTANCES + memory.instance], memory.state.ctypes.data
+    if words[STATE_BYTES]:
+        source = kept if memory.steps > 0 else words[INITIAL]
+        _restore(words, instance, source, report)
+    write_numbers(now, own, inbox, words[AIRCRAFT], numbers)
+    _set_inputs(words, instance, places, numbers, report)
+    _do_step(words, instance, memory.steps * config.dt, config.dt, report)
+    _get_outputs(words, instance, places, numbers, report)
+    if words[STATE_BYTES]:
+        _keep(words, instance, kept, report)
     memory.steps += 1
-    report[2] = -1.0
-    command: Array = fmu.command[i]
+    report[CALL] = -1.0
+    first = words[COMMAND_AT]
+    command: Array = numbers[first : first + COMMAND_SIZE]
     return command
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from testbed.core.code_digest import code_digest
 from testbed.core.errors import InputError
-from testbed.core.records import Array, OwnState, Records
+from testbed.core.records import OwnState, Records
 from testbed.fmi.archive import Archive
 from testbed.fmi.instances import FmuLibrary, Value
 from testbed.fmi.law_variables import LawVariables, ParameterSetting, match_variables
@@ -50,24 +50,23 @@ class CallReport:
         self.reason = reason
         self._memory = mmap.mmap(-1, mmap.PAGESIZE)  # shared with forked processes
         numbers: NDArray[np.float64] = np.frombuffer(self._memory, dtype=np.float64)
-        self.values, self.end_s = numbers[:4], numbers[4:5]
-        self.values[:] = (0.0, 0.0, -1.0, 0.0)
-        self.end_s[0] = end_s
+        self.values = numbers[:5]
+        self.values[:] = (0.0, 0.0, -1.0, 0.0, end_s)
 
     @property
     def time_s(self) -> float:
         """Time of the step, s."""
-        return float(self.values[0])
+        return float(self.values[fmu_step.TIME_S])
 
     @property
     def aircraft(self) -> int:
         """Row of the follower among the N aircraft."""
-        return int(self.values[1])
+        return int(self.values[fmu_step.ROW])
 
     @property
     def call(self) -> int:
         """Place of the function among `fmu_step`'s; negative: none is called now."""
-        return int(self.values[2])
+        return int(self.values[fmu_step.CALL])
 
 
 _shared: ContextVar[CallReport | None] = ContextVar("shared", default=None)
@@ -92,9 +91,11 @@ class FmuLaw(CompiledLaw):
     """
 
     ALIKE = ("file",)
+    MAY_WRITE = False
     ADDRESSES = ("call", "_options", "_fmu")
     __slots__ = (
         *("library", "has_state", "_fmu", "_names", "_variables", "_start", "_next", "_report"),
+        *("_rows", "_alive"),
         "__weakref__",
     )
 
@@ -113,7 +114,8 @@ class FmuLaw(CompiledLaw):
             InputError: the FMU makes no instance, or a function of it fails.
         """
         model = library.model
-        self.library, self._variables, self._names = library, variables, config.names
+        self.library, self._variables = library, variables
+        self._names, self._rows = config.names, config.agents
         self.has_state, self._next = model.has_state, 0
         values = [_values(variables, config, row) for row in range(len(config.names))]
         sets = 1 if self.has_state else _SETS
@@ -130,7 +132,8 @@ class FmuLaw(CompiledLaw):
                 f"{model.file}: its states have different sizes, or none (write one size for all)"
             )
         self._report = _shared.get() or CallReport()
-        self._fmu = _make_step(library, variables, config, instances, states, self._report)
+        made = _make_step(library, variables, config, instances, states, self._report)
+        self._fmu, self._alive = made
         law = fmu_step.law_of_kind(variables.kind, size)
         super().__init__(law, config, hbh23, (self._fmu,), code_digest(law))  # type: ignore[arg-type]
         self.name, self.file = Path(model.file).name, model.file
@@ -167,17 +170,21 @@ class FmuLaw(CompiledLaw):
             return
         row = int(self._failed[0]) - 1
         self._failed[0] = 0
-        call, status = self._report.call, int(self._report.values[3])
-        place = f"{self.file}: {self._names[row]} at {now:g} s"
+        call, status = self._report.call, int(self._report.values[fmu_step.STATUS])
+        place, words = (
+            f"{self.file}: {self._names[row]} at {now:g} s",
+            self._fmu.words[self._rows[row]],
+        )
         if call == fmu_step.STOPPED:
             raise InputError(f"{place}: {self._report.reason}")
         if call == fmu_step.NOT_FINITE:
-            outputs = _COMMAND[self._variables.kind]
-            found = zip(self._fmu.output_places, self._fmu.found[row], strict=True)
-            wrong = next((outputs[k] for k, each in found if not np.isfinite(each)), "output")
+            begin = int(words[fmu_step.COMMAND_AT])
+            command = self._fmu.numbers[self._rows[row], begin:]
+            found = zip(_COMMAND[self._variables.kind], command, strict=False)
+            wrong = next((name for name, each in found if not np.isfinite(each)), "output")
             raise InputError(f"{place}: its {wrong} is not a finite number")
         if call == fmu_step.OTHER_SIZE:
-            now_bytes, before = self._fmu.words[row, 1], self._fmu.state_bytes
+            now_bytes, before = words[fmu_step.SIZE], words[fmu_step.STATE_BYTES]
             raise InputError(
                 f"{place}: {self.library.size_function} is {now_bytes} and was {before} before "
                 "(write states of one size)"
@@ -187,6 +194,10 @@ class FmuLaw(CompiledLaw):
             text = self.library.describe_status(status)
             raise InputError(f"{place}: {names[call]} returns {text}{self.library.last_words}")
         raise InputError(f"{place}: its desired velocity is zero (write one with a direction)")
+
+    def _words_of(self, row: int) -> NDArray[np.int64]:
+        words: NDArray[np.int64] = self._fmu.words[self._rows[row]]
+        return words
 
 
 class _Reset:
@@ -296,56 +307,41 @@ def _make_step(
     instances: NDArray[np.uint64],
     states: list[bytes],
     report: CallReport,
-) -> FmuStep:
-    """Return the data of the steps of n followers."""
-    model = library.model
+) -> tuple[FmuStep, tuple[NDArray[Any], ...]]:
+    """Return the data of the steps of n followers, and arrays whose addresses are in it."""
+    model, size = library.model, len(states[0])
     n, aircraft = config.gains.shape[:2]
     names = call_names(model)[: None if model.has_state else fmu_step.DESERIALIZE]
     functions = [library.address(each) for each in names]
-    size = len(states[0])
-    initial = np.zeros((n, fmu_step.state_words(size) * fmu_step.WORD), dtype=np.uint8)
+    groups = variables.inputs, variables.flags, variables.outputs
+    refs = [np.array([ref for ref, _ in each], dtype=np.uint32) for each in groups]
+    places = [[place for _, each in group for place in each] for group in groups]
+    initial = np.zeros((n, max(size, 1)), dtype=np.uint8)
     for row, each in enumerate(states if size else ()):
-        initial[row, :size] = np.frombuffer(each, dtype=np.uint8)
-    rows = np.zeros(aircraft, dtype=np.intp)
-    rows[config.agents] = np.arange(n)
-    reals, flags, outputs = variables.inputs, variables.flags, variables.outputs
-    places = [_places(each) for each in (reals, flags, outputs)]
-    refs = [np.array([ref for ref, _ in each], dtype=np.uint32) for each in (reals, flags, outputs)]
-
-    def scratch(count: int) -> Array:
-        return np.zeros((n, count))
-
-    numbers = fmu_step.FIRST_MESSAGE + fmu_step.MESSAGE_SIZE * aircraft
-    return FmuStep(
-        functions=_fixed(np.array(functions + [0] * (10 - len(functions)), dtype=np.uint64)),
-        instances=_fixed(instances),
-        rows=_fixed(rows),
-        inputs=_fixed(refs[0]),
-        input_places=_fixed(places[0]),
-        flags=_fixed(refs[1]),
-        flag_places=_fixed(places[1]),
-        outputs=_fixed(refs[2]),
-        output_places=_fixed(places[2]),
-        numbers=scratch(numbers),
-        values=scratch(len(places[0])),
-        flag_values=np.zeros((n, 4 * len(places[1])), dtype=np.uint8),
-        found=scratch(len(places[2])),
-        command=scratch(fmu_step.COMMAND_SIZE),
-        words=np.zeros((n, 8), dtype=np.uint64),
-        initial=_fixed(initial.view(np.uint64)),
-        report=report.values,
-        stop_s=report.end_s,
-        version=model.version,
-        state_bytes=size,
-        aircraft=variables.aircraft,
-    )
-
-
-def _places(bound: list[tuple[int, tuple[int, ...]]]) -> NDArray[np.intp]:
-    return np.array([place for _, each in bound for place in each], dtype=np.intp)
-
-
-def _fixed(array: NDArray[Any]) -> NDArray[Any]:
-    """Make an array read-only, so that no saved flight writes it."""
-    array.flags.writeable = False
-    return array
+        initial[row] = np.frombuffer(each, dtype=np.uint8)
+    values_at = fmu_step.FIRST_MESSAGE + fmu_step.MESSAGE_SIZE * aircraft
+    found_at = values_at + len(places[0])
+    command_at = found_at + len(places[2])
+    # a Boolean has up to 4 bytes
+    words = np.zeros((aircraft, fmu_step.FLAGS_AT + 1 + len(places[1]) // 2), dtype=np.int64)
+    columns: dict[int, int] = {
+        fmu_step.VERSION: model.version,
+        fmu_step.STATE_BYTES: size,
+        fmu_step.AIRCRAFT: variables.aircraft,
+        **{fmu_step.FUNCTIONS + k: each for k, each in enumerate(functions)},
+        fmu_step.VALUES_AT: values_at,
+        fmu_step.FOUND_AT: found_at,
+        fmu_step.COMMAND_AT: command_at,
+    }
+    first = fmu_step.INPUT_REFS, fmu_step.FLAG_REFS, fmu_step.OUTPUT_REFS
+    for column, found, numbers in zip(first, refs, places, strict=True):
+        columns |= {column: found.ctypes.data, column + 1: len(found), column + 2: len(numbers)}
+    for column, value in columns.items():
+        words[:, column] = value
+    for row, agent in enumerate(config.agents):
+        words[agent, fmu_step.INITIAL] = initial[row].ctypes.data
+        for k, each in enumerate(instances[:, row]):
+            words[agent, fmu_step.INSTANCES + k] = each
+    every = np.array([place for each in places for place in each], dtype=np.intp)
+    scratch = np.zeros((aircraft, command_at + fmu_step.COMMAND_SIZE))
+    return FmuStep(words, every, scratch, report.values), (*refs, initial)

@@ -119,6 +119,8 @@ SINGLE_VALUE = {(kind, "kind") for kind in ("Bernoulli", *BY_KIND)}
 REFUSED = {("BatteryLow", "duration_s")}
 # Keys of flights that begin as another one: not beside commands from outside.
 REFUSED |= {("Header", "begin"), ("Begin", "scenario"), ("Begin", "at_s")}
+# Of a law that is an FMU; that of the fixture is a class.
+REFUSED |= {("Controller", "map")}
 
 
 def _sections(value):
