@@ -9,7 +9,7 @@ import sys
 import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, TypeAlias
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "shared"))
 import numba
@@ -22,6 +22,7 @@ from testbed.plan.fmu_law import FmuLaw
 from testbed.plan.world import build
 from testbed.scenario import load_scenario
 
+Array: TypeAlias = Any  # of NumPy
 FLIGHT_S, TURNS, CALLS = 100.0, 5, 20_000
 LAWS = {"two": {}, "three": {"version": 3, "aircraft": 3}, "stateless": {"state": False}}
 
@@ -62,8 +63,7 @@ def _fly(scenarios: dict[str, str]) -> None:
         print(f"{law}: {shown} s for {FLIGHT_S:g} s; {ratio:.2f} times the built-in law")
 
 
-@numba.njit
-def _bare(words: Any, numbers: Any, count: int) -> int:
+def _bare_calls(words: Array, numbers: Array, count: int) -> int:
     """Set the inputs, step, and get the outputs of an FMU of FMI 2.0."""
     at, failed = numbers.ctypes.data, 0
     f, instance = words[fmu_step.FUNCTIONS :], words[fmu_step.INSTANCES]
@@ -75,6 +75,9 @@ def _bare(words: Any, numbers: Any, count: int) -> int:
         failed += fmu_step._step_2(f[fmu_step.DO_STEP], instance, 0.04 * k, 0.04, 1)
         failed += fmu_step._call_4(f[fmu_step.GET_REAL], instance, outputs, m, found)
     return failed
+
+
+_bare: Any = numba.njit(_bare_calls)
 
 
 def _step_us(file: str) -> tuple[float, str]:

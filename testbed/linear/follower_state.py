@@ -21,6 +21,7 @@ from testbed.formation.compiled_law import CompiledLaw
 from testbed.formation.follower_hbh23 import HBH23_MEMORY
 from testbed.formation.law import Law
 from testbed.linear.held_flight import HeldFlight
+from testbed.plan.fmu_law import FmuLaw
 
 LAW = "law"
 CONTROL_MEMORY = ("middle loop/", "leader filter/", f"{LAW}/")  # labels of the state of control
@@ -220,6 +221,9 @@ def held_fields(law: Law | None) -> tuple[str, ...]:
 
 def problem_of_memory(law: Law | None) -> tuple[str, str]:
     """Return why the memory of a law cannot be linearised, and what to write; "": it can."""
+    if isinstance(law, FmuLaw):
+        remedy = "write the law as a function under @testbed.kernel"
+        return f"the state of {law.name} is in bytes of its own", remedy
     memory = law_memory(law)
     for name in () if memory is None else memory.dtype.names or ():
         assert memory is not None

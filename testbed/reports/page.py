@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Sequence
 from html import escape
 
@@ -28,6 +29,7 @@ from testbed.reports.html import (
     Page,
     PageSection,
     cards_html,
+    download_link,
     figure_html,
     file_html,
     rows_to_html,
@@ -242,5 +244,10 @@ def _repeat(run: RunData) -> str:
             f"<p>The scenario uses {escape(name)}, the code of its law. Save it in the same"
             " folder:</p>"
         )
-        out.append(file_html(name, "text/x-python", code))
+        if name.endswith(".py"):
+            out.append(file_html(name, "text/x-python", code))
+        else:
+            link = download_link(name, "application/zip", code)
+            digest = hashlib.sha256(code).hexdigest()[:12]
+            out.append(f"<p>{link} (SHA-256 {digest})</p>")
     return "".join(out)
