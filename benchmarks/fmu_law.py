@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "shared"))
 import numba
-from c_fmus import law_fmu
+from c_fmus import law_fmu  # type: ignore[import-not-found]
 
 import testbed
 from testbed.core.call_list import CallList
@@ -24,7 +24,7 @@ from testbed.scenario import load_scenario
 
 Array: TypeAlias = Any  # of NumPy
 FLIGHT_S, TURNS, CALLS = 100.0, 5, 20_000
-LAWS = {"two": {}, "three": {"version": 3, "aircraft": 3}, "stateless": {"state": False}}
+LAWS: dict[str, dict[str, Any]] = {"two": {}, "three": {"version": 3, "aircraft": 3}, "stateless": {"state": False}}
 
 
 def main() -> None:
@@ -34,13 +34,13 @@ def main() -> None:
         files = {}
         for law, how in LAWS.items():
             law_fmu(folder / f"{law}.fmu", **how)
-            file = folder / f"{law}.yaml"
-            file.write_text(
+            scenario = folder / f"{law}.yaml"
+            scenario.write_text(
                 "extends: own-law-leader-follower\n"
                 f"scenario: {{name: {law}}}\n"
                 f"controller: {{law: {law}.fmu, options: {{field_per_m: 0.03}}}}\n"
             )
-            files[law] = str(file)
+            files[law] = str(scenario)
         _fly({"hbh23": "simulation-3", "class": "own-law-leader-follower", **files})
         for law, file in files.items():
             whole, bare = _step_us(file)
