@@ -24,7 +24,11 @@ from testbed.scenario import load_scenario
 
 Array: TypeAlias = Any  # of NumPy
 FLIGHT_S, TURNS, CALLS = 100.0, 5, 20_000
-LAWS: dict[str, dict[str, Any]] = {"two": {}, "three": {"version": 3, "aircraft": 3}, "stateless": {"state": False}}
+LAWS: dict[str, dict[str, Any]] = {
+    "two": {},
+    "three": {"version": 3, "aircraft": 3},
+    "stateless": {"state": False},
+}
 
 
 def main() -> None:
