@@ -32,14 +32,10 @@ def validate_command(
     your own with a few calls. Names the code and the programs that a run would start.
     """
     from testbed.plan.world import build
-    from testbed.scenario import FMU, dump
+    from testbed.scenario import dump
 
     loaded = load_scenario(scenario, overrides)
     with error_places(scenario, overrides):
-        if loaded.controller.law.endswith(FMU):
-            from testbed.runs.fmu_flight import check_fmu
-
-            check_fmu(loaded)  # before it is loaded into this process
         world = build(loaded)
     for event in world.initial_events:
         typer.echo(escape_controls(f"{event.level}: {event.source}: {event.text}"), err=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import mmap
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from testbed.core.code_digest import code_digest
 from testbed.core.errors import InputError
+from testbed.core.forked import CrashError, Send, run_forked
 from testbed.core.records import OwnState, Records
 from testbed.fmi.archive import Archive
 from testbed.fmi.instances import FmuLibrary, Value
@@ -80,6 +81,64 @@ def reporting_calls(report: CallReport) -> Iterator[None]:
         yield
     finally:
         _shared.reset(token)
+
+
+# what an FMU is told, in the order of the functions in `fmu_step`
+TOLD = (
+    *("set inputs", "set inputs", "step", "return outputs", "read a state", "set a state"),
+    *("return its state", "return the size of its state", "write its state", "free a state"),
+)
+
+
+def describe_crash(
+    crash: CrashError, calls: CallReport, names: Sequence[str], *, begun: bool
+) -> str:
+    """Describe where an FMU has crashed.
+
+    Args:
+        crash: of the process in which it was stepped.
+        calls: of that process.
+        names: of the N aircraft.
+        begun: the flight had begun.
+    """
+    if calls.call < 0:
+        when = "outside of a step" if begun else "when it was loaded or initialised"
+        return f"{crash.end} {when}"
+    when = f"at {calls.time_s:g} s" if begun else "in the checks before the flight"
+    return f"{crash.end} when told to {TOLD[calls.call]}, for {names[calls.aircraft]} {when}"
+
+
+_tried: set[tuple[str, ...]] = set()  # in this process
+
+
+def try_first(work: Callable[[], object], names: Sequence[str], *key: str) -> None:
+    """Do work with an FMU in a forked process, before it is done in this one.
+
+    Nothing is done in a process that reports its calls, or again with the same key.
+
+    Args:
+        work: builds and checks a law.
+        names: of the N aircraft, for the error.
+        key: file and digest of the FMU, and what else is different.
+
+    Raises:
+        InputError: the FMU has crashed.
+        Exception: what the work raises.
+    """
+    if _shared.get() is not None or key in _tried:
+        return
+    calls = CallReport()
+
+    def report(_: Send) -> None:
+        with reporting_calls(calls):
+            work()
+
+    try:
+        run_forked(report, lambda message: None)
+    except CrashError as crash:
+        text = describe_crash(crash, calls, names, begun=False)
+        raise InputError(f"{key[0]}: {text}") from None
+    _tried.add(key)
 
 
 class FmuLaw(CompiledLaw):

@@ -20,7 +20,7 @@ from dataclasses import replace
 from importlib.metadata import distributions
 from pathlib import Path
 from types import ModuleType
-from typing import Any, NoReturn, cast
+from typing import TYPE_CHECKING, Any, NoReturn, cast
 from urllib.parse import unquote, urlsplit
 
 import numpy as np
@@ -44,6 +44,10 @@ from testbed.formation.law import OLD_BOUNDS, FormationConfig, Law
 from testbed.formation.law_outputs import Outputs, outputs_of
 from testbed.scenario import FMU, LAWS, Scenario, code_references, find_code, library, with_values
 from testbed.scenario.fields import KeyPath, is_number
+
+if TYPE_CHECKING:
+    from testbed.fmi.law_variables import LawVariables
+    from testbed.plan.fmu_law import FmuLaw
 
 
 def build_law(
@@ -126,9 +130,18 @@ def _build_fmu(
     hbh23: Hbh23Law,
 ) -> tuple[Law, str]:
     """Build the law of an FMU; see `build_law`."""
-    from testbed.plan.fmu_law import build_fmu
+    from testbed.plan.fmu_law import build_fmu, try_first
 
-    law, found = build_fmu(path, variables, options, config, hbh23, config.gains.shape[1])
+    def build() -> tuple[FmuLaw, LawVariables]:
+        return build_fmu(path, variables, options, config, hbh23, config.gains.shape[1])
+
+    names_of_all = [f"aircraft {k}" for k in range(config.gains.shape[1])]
+    for agent, each in zip(config.agents, config.names, strict=True):
+        names_of_all[agent] = each
+    digest = hashlib.sha256(read_fmu(path)).hexdigest()
+    key = str(path), digest, repr(variables), repr(options), *config.names
+    try_first(lambda: check_law(build()[0], config), names_of_all, *key)
+    law, found = build()
     names = found.config_names
     names |= {"offsets"} if "slot" in names else set()
     names |= {"command_from_velocity"} if found.kind == "velocity" else set()

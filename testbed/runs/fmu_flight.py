@@ -7,16 +7,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from testbed.core.errors import FlightError
+from testbed.core.errors import FlightError, InputError
+from testbed.core.forked import CrashError, Send, run_forked
 from testbed.logs.file_record import RECORD_NAME
 from testbed.logs.mcap_file import tail_path
 from testbed.logs.run_directory import LOG_NAME, METRICS_NAME, SCENARIO_NAME
 from testbed.metrics.model import Metrics
-from testbed.plan.fmu_law import CallReport, reporting_calls
-from testbed.plan.world import build
+from testbed.plan.fmu_law import TOLD, CallReport, describe_crash, reporting_calls
 from testbed.runs.external_options import ExternalOptions
 from testbed.runs.flight_progress import Report
-from testbed.runs.forked import CrashError, Send, run_forked
 from testbed.scenario import FMU, Scenario
 
 # Flies into a directory (None: a new one): progress, external programs, and a function that is
@@ -25,11 +24,6 @@ Fly: TypeAlias = Callable[
     [Path | None, Report | None, ExternalOptions, Callable[[Path | None], None]],
     tuple[Metrics, Path | None],
 ]
-# what the FMU is told, in the order of `fmu_step`
-_CALLS = (
-    *("set inputs", "set inputs", "step", "return outputs", "read a state", "set a state"),
-    *("return its state", "return the size of its state", "write its state", "free a state"),
-)
 
 
 def is_fmu(scenario: Scenario) -> bool:
@@ -58,6 +52,7 @@ def fly_fmu(
 
     Raises:
         FlightError: the FMU has crashed; the text has function, follower and time.
+        InputError: it has crashed before the flight.
         Exception: what `fly` raises.
     """
     flight = _ForkedFlight(scenario, fly, report, external)
@@ -65,14 +60,16 @@ def fly_fmu(
     try:
         return flight.run(folder, calls)
     except CrashError as crash:
-        text = _describe(crash, calls, scenario, begun=flight.begun)
+        text = describe_crash(crash, calls, scenario.aircraft_names, begun=flight.begun)
+        if not flight.begun:
+            raise InputError(f"{scenario.controller.law}: {text}") from None
         directory = flight.directory
         if directory is not None:
             alone = external == replace(external, **_PLAIN)
-            in_step = flight.begun and calls.call >= 0 and not crash.killed
+            in_step = calls.call >= 0 and not crash.killed
             if alone and in_step and _has_own_files(directory, scenario):
                 _delete_files(directory, scenario)
-                reason = f"{crash.end} when told to {_CALLS[calls.call]}"
+                reason = f"{crash.end} when told to {TOLD[calls.call]}"
                 flight.run(directory, CallReport(calls.time_s, reason))  # raises a FlightError
         error = FlightError(f"{scenario.controller.law}: {text}")
         if directory is not None:
@@ -138,33 +135,3 @@ def _has_own_files(directory: Path, scenario: Scenario) -> bool:
 def _delete_files(directory: Path, scenario: Scenario) -> None:
     for each in _own_files(directory, scenario):
         each.unlink(missing_ok=True)
-
-
-def check_fmu(scenario: Scenario) -> None:
-    """Build a scenario whose law is an FMU in a forked process, for its crashes.
-
-    Raises:
-        FlightError: the FMU has crashed.
-        Exception: what `build` raises.
-    """
-    calls = CallReport()
-
-    def work(_: Send) -> None:
-        with reporting_calls(calls):
-            build(scenario, unused="list")
-
-    try:
-        run_forked(work, lambda message: None)
-    except CrashError as crash:
-        text = _describe(crash, calls, scenario, begun=False)
-        raise FlightError(f"{scenario.controller.law}: {text}") from None
-
-
-def _describe(crash: CrashError, calls: CallReport, scenario: Scenario, *, begun: bool) -> str:
-    """Describe where an FMU has crashed."""
-    if calls.call < 0:
-        when = "outside of a step" if begun else "when it was loaded or initialised"
-        return f"{crash.end} {when}"
-    name = scenario.aircraft_names[calls.aircraft]
-    when = f"at {calls.time_s:g} s" if begun else "in the checks before the flight"
-    return f"{crash.end} when told to {_CALLS[calls.call]}, for {name} {when}"

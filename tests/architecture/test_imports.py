@@ -324,7 +324,7 @@ RUNS_CODE = {
     "pickle": {
         "core.machine_code",  # kept files, whose folder no other user may write
         "plan.user_code",  # dumps only: whether a law's memory has changed
-        "runs.forked",  # what its own child sends
+        "core.forked",  # what its own child sends
         "views.feeder_process",  # what its own parent sends
         "views.view",
     },

@@ -169,12 +169,18 @@ def test_crash_leaves_a_complete_log(tmp_path):
 
 
 def test_crash_before_flight_is_an_error(tmp_path):
-    """Where no instance can be made, `validate` exits with 2 and one line."""
+    """In `validate`, a run and a Simulation it is one line, and the process goes on."""
     need_compiler()
     file = write_law(tmp_path, "dead", "CRASH_AT_ONCE")
     done = call_command("validate", file, cwd=tmp_path, code=2, columns=200)
     [line] = done.stderr.splitlines()
-    assert "dead.fmu: crashed (SIGSEGV) when it was loaded or initialised" in line
+    text = "dead.fmu: crashed (SIGSEGV) when it was loaded or initialised"
+    assert text in line
+    for fly in (testbed.run, testbed.Simulation):
+        with pytest.raises(InputError) as found:
+            fly(file, out=tmp_path / "none")
+        assert text in str(found.value) and not isinstance(found.value, FlightError)
+    assert not (tmp_path / "none").exists()
 
 
 def test_run_keeps_the_fmu(laws):
