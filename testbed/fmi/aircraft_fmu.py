@@ -32,7 +32,13 @@ from testbed.core.version import __version__
 from testbed.fmi.aircraft_block import AUTOPILOT_HZ, StartPoint, field_offsets, make_block
 from testbed.fmi.aircraft_functions import make_functions
 from testbed.fmi.compilers import find_cc, find_zig, link_library
-from testbed.fmi.description_writing import AIRSPEED, DOWN, Variable, describe_model, list_variables
+from testbed.fmi.description_writing import (
+    AIRSPEED,
+    DOWN,
+    DescribedVariable,
+    describe_model,
+    list_variables,
+)
 from testbed.fmi.native_code import NativeModule
 from testbed.fmi.targets import THIS, Target, targets
 
@@ -202,7 +208,7 @@ def _guid(text: str, code: str, *blocks: bytes) -> str:
 
 def _header(
     guid: str,
-    variables: Sequence[Variable],
+    variables: Sequence[DescribedVariable],
     offsets: Sequence[int],
     blocks: Sequence[Record],
     default: int,
@@ -272,7 +278,7 @@ def _universal(triples: Sequence[str], libraries: Sequence[bytes]) -> bytes:
 
 
 def _documentation(
-    wanted: AircraftFmu, reasons: Sequence[str], variables: Sequence[Variable]
+    wanted: AircraftFmu, reasons: Sequence[str], variables: Sequence[DescribedVariable]
 ) -> dict[str, bytes]:
     """Return the files of documentation/: a page, and licences and sources of the aircraft."""
     folder, name = wanted.folder, wanted.folder.name

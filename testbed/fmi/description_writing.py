@@ -33,7 +33,7 @@ class Kind(IntEnum):
     PARAMETER = 2
 
 
-class Variable(NamedTuple):
+class DescribedVariable(NamedTuple):
     """A real variable, which is a number of the block."""
 
     name: str
@@ -63,7 +63,7 @@ ENDINGS = (
 AIRSPEED, DOWN = "start.airspeed", "start.position_ned[3]"
 
 
-def list_variables(*, gusts: bool, propeller: bool, battery: bool) -> tuple[Variable, ...]:
+def list_variables(*, gusts: bool, propeller: bool, battery: bool) -> tuple[DescribedVariable, ...]:
     """Return the variables of an aircraft, in the order of their value references.
 
     Args:
@@ -93,11 +93,11 @@ def list_variables(*, gusts: bool, propeller: bool, battery: bool) -> tuple[Vari
             ("forward", "right", "down"),
         )
     words = "Airspeed at the start, one of those that the FMU was made for"
-    found.append(Variable(AIRSPEED, Kind.PARAMETER, "start.airspeed", 0, "m/s", words))
+    found.append(DescribedVariable(AIRSPEED, Kind.PARAMETER, "start.airspeed", 0, "m/s", words))
     words = "Position at the start, from the origin"
     found += _vector("start.position_ned", "start.position_ned", Kind.PARAMETER, "m", words, AXES)
     words = "Course over the ground at the start, from north to east"
-    found.append(Variable("start.course", Kind.PARAMETER, "start.course", 0, "rad", words))
+    found.append(DescribedVariable("start.course", Kind.PARAMETER, "start.course", 0, "rad", words))
     for name, unit, words in (
         ("position_ned", "m", "Position from the origin"),
         ("velocity_ned", "m/s", "Velocity over the ground"),
@@ -127,7 +127,7 @@ def list_variables(*, gusts: bool, propeller: bool, battery: bool) -> tuple[Vari
             ("battery_voltage", "air.battery_voltage", "V", "Voltage at the battery's terminals"),
         ]
     for name, field, unit, words in outputs:
-        found.append(Variable(name, Kind.OUTPUT, f"aircraft.{field}", 0, unit, words))
+        found.append(DescribedVariable(name, Kind.OUTPUT, f"aircraft.{field}", 0, unit, words))
     return tuple(found)
 
 
@@ -138,16 +138,16 @@ def _input(
     words: str,
     low: float | None = None,
     high: float | None = None,
-) -> Variable:
-    return Variable(name, Kind.INPUT, f"aircraft.{field}", 0, unit, words, low, high)
+) -> DescribedVariable:
+    return DescribedVariable(name, Kind.INPUT, f"aircraft.{field}", 0, unit, words, low, high)
 
 
 def _vector(
     name: str, field: str, kind: Kind, unit: str, words: str, parts: Sequence[str]
-) -> list[Variable]:
+) -> list[DescribedVariable]:
     path = field if kind is Kind.PARAMETER else f"aircraft.{field}"
     return [
-        Variable(f"{name}[{k + 1}]", kind, path, k, unit, f"{words}: {part}")
+        DescribedVariable(f"{name}[{k + 1}]", kind, path, k, unit, f"{words}: {part}")
         for k, part in enumerate(parts)
     ]
 
@@ -155,7 +155,7 @@ def _vector(
 def describe_model(
     name: str,
     guid: str,
-    variables: Sequence[Variable],
+    variables: Sequence[DescribedVariable],
     starts: Sequence[float],
     period_s: float,
     words: str,
@@ -201,7 +201,7 @@ def describe_model(
     )
 
 
-def _scalar(reference: int, variable: Variable, start: float) -> str:
+def _scalar(reference: int, variable: DescribedVariable, start: float) -> str:
     causality, variability, initial = {
         Kind.OUTPUT: ("output", "continuous", ""),
         Kind.INPUT: ("input", "continuous", ""),
@@ -220,7 +220,7 @@ def _scalar(reference: int, variable: Variable, start: float) -> str:
     )
 
 
-def _units(variables: Sequence[Variable]) -> str:
+def _units(variables: Sequence[DescribedVariable]) -> str:
     return "".join(_unit(name) for name in _UNITS if name in {each.unit for each in variables})
 
 
