@@ -93,8 +93,14 @@ static fmi2Status refuse(const Instance *instance, const char *name, const char 
   return report(instance, fmi2Error, line);
 }
 
-static double *real(Content *content, fmi2ValueReference reference) {
-  return (double *)((char *)content->block + OFFSETS[reference]);
+static double read_real(const Content *content, fmi2ValueReference reference) {
+  double value;
+  memcpy(&value, (const char *)content->block + OFFSETS[reference], sizeof value);
+  return value;
+}
+
+static void write_real(Content *content, fmi2ValueReference reference, double value) {
+  memcpy((char *)content->block + OFFSETS[reference], &value, sizeof value);
 }
 
 /* Returns the trimmed flight of an airspeed, the one nearest to a height; -1: there is none. */
@@ -123,7 +129,7 @@ static fmi2Status place(Instance *instance) {
   }
   memcpy(content->block, BLOCKS[start], sizeof content->block);
   for (fmi2ValueReference k = 0; k < REALS; k++)
-    if (content->set[k]) *real(content, k) = content->values[k];
+    if (content->set[k]) write_real(content, k, content->values[k]);
   int64_t status = 0;
   void *exception = NULL;
   if (testbed_place(&status, &exception, content->block)) status = FAILED;
@@ -221,7 +227,7 @@ EXPORT fmi2Status fmi2GetReal(fmi2Component component, const fmi2ValueReference 
   if (place(instance) != fmi2OK) return fmi2Error;
   for (size_t k = 0; k < count; k++) {
     if (references[k] >= REALS) return report(instance, fmi2Error, "no such real variable");
-    values[k] = *real(&instance->content, references[k]);
+    values[k] = read_real(&instance->content, references[k]);
   }
   return fmi2OK;
 }
@@ -241,7 +247,7 @@ EXPORT fmi2Status fmi2SetReal(fmi2Component component, const fmi2ValueReference 
   }
   for (size_t k = 0; k < count; k++) {
     if (begun) {
-      *real(content, references[k]) = values[k];
+      write_real(content, references[k], values[k]);
     } else {
       content->set[references[k]] = 1;
       content->values[references[k]] = values[k];

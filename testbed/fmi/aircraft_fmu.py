@@ -231,7 +231,7 @@ def _header(
         f'#define AIRSPEEDS_TEXT "{text}"',
         _array("const char *const NAMES[]", [f'"{each}"' for each in names]),
         _array("const unsigned char KINDS[]", [f"{int(each.kind)}" for each in variables]),
-        _array("const unsigned short OFFSETS[]", [f"{each}" for each in offsets]),
+        _array("const unsigned OFFSETS[]", [f"{each}" for each in offsets]),
         _array("const double AIRSPEEDS[]", [repr(each) for each in airspeeds]),
         _array("const double HEIGHTS[]", [repr(each) for each in heights]),
         _array(
