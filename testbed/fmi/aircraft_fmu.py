@@ -37,6 +37,7 @@ from testbed.fmi.description_writing import (
     DOWN,
     DescribedVariable,
     describe_model,
+    identifier,
     list_variables,
 )
 from testbed.fmi.native_code import NativeModule
@@ -151,7 +152,7 @@ def make_fmu(wanted: AircraftFmu, report: Report = lambda text: None) -> Written
     for target, command in compilers.items():
         report(f"link for {target}")
         kind = targets()[target]
-        library = f"{name}{kind.suffix}"
+        library = f"{identifier(name)}{kind.suffix}"
         members[f"binaries/{kind.folder}/{library}"] = _build(
             native, header, kind, command, library
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from enum import IntEnum
 from typing import NamedTuple
@@ -152,6 +153,12 @@ def _vector(
     ]
 
 
+def identifier(name: str) -> str:
+    """Return the name of the libraries of a model, which the standard wants to be one of C."""
+    letters = re.sub(r"[^A-Za-z0-9_]", "_", name)
+    return f"_{letters}" if letters[:1].isdigit() or not letters else letters
+
+
 def describe_model(
     name: str,
     guid: str,
@@ -163,7 +170,7 @@ def describe_model(
     """Return modelDescription.xml.
 
     Args:
-        name: of the model and its libraries.
+        name: of the model.
         guid: of the FMU.
         variables: real ones.
         starts: their values at the default start.
@@ -186,7 +193,7 @@ def describe_model(
         f'<fmiModelDescription fmiVersion="2.0" modelName={quoteattr(name)} guid="{guid}" '
         f'description={quoteattr(words)} generationTool="testbed {__version__}" '
         'variableNamingConvention="structured">\n'
-        f"  <CoSimulation modelIdentifier={quoteattr(name)} "
+        f'  <CoSimulation modelIdentifier="{identifier(name)}" '
         'canHandleVariableCommunicationStepSize="true" canNotUseMemoryManagementFunctions="true" '
         'canGetAndSetFMUstate="true" canSerializeFMUstate="true"/>\n'
         f"  <UnitDefinitions>\n{_units(variables)}  </UnitDefinitions>\n"

@@ -20,6 +20,7 @@ import testbed
 from testbed.core.errors import InputError
 from testbed.core.library import library
 from testbed.fmi.aircraft_fmu import AircraftFmu, make_fmu
+from testbed.fmi.model_description import identifier
 
 ALL = os.environ.get("TESTBED_FMUS") == "1"
 SECONDS = 60.0 if ALL else 4.0
@@ -345,6 +346,11 @@ def test_aircraft_that_only_jsbsim_flies_is_refused(tmp_path):
     assert "<random>" in str(error.value)
 
 
+def test_names_of_libraries_are_those_of_c():
+    names = {"rascal110": "rascal110", "my own-kite": "my_own_kite", "2much": "_2much", "é": "_"}
+    assert {name: identifier(name) for name in names} == names
+
+
 def test_archive_is_plain(written, tmp_path):
     (tmp_path / "it.zip").write_bytes(written[0])
     with zipfile.ZipFile(tmp_path / "it.zip") as archive:
@@ -359,7 +365,9 @@ def test_other_aircraft_and_rates_are_the_same(tmp_path, name, hz):
     """Also one of the user's, which is heavier; the same FMU twice."""
     folder = library() / "aircraft" / name
     if name == "own":
-        folder = changed(RASCAL, tmp_path, (r">\s*[\d.]+\s*</emptywt>", ">14.5</emptywt>"))
+        copy = changed(RASCAL, tmp_path, (r">\s*[\d.]+\s*</emptywt>", ">14.5</emptywt>"))
+        folder = copy.rename(tmp_path / "my own-kite")
+        (folder / "rascal110.xml").rename(folder / "my own-kite.xml")
     wanted = AircraftFmu(folder, folder / "autopilot.param", [18.0], physics_hz=hz)
     made = make_fmu(wanted)
     assert made.data == make_fmu(wanted).data
