@@ -104,8 +104,8 @@ def describe_crash(
     if calls.call < 0:
         when = "outside of a step" if begun else "when it was loaded or initialised"
         return f"{crash.end} {when}"
-    when = f"at {calls.time_s:g} s" if begun else "in the checks before the flight"
-    return f"{crash.end} when told to {TOLD[calls.call]}, for {names[calls.aircraft]} {when}"
+    when = f" at {calls.time_s:g} s" if begun else ", in the checks before the flight"
+    return f"{names[calls.aircraft]}{when}: {crash.end} when told to {TOLD[calls.call]}"
 
 
 _tried: set[tuple[str, ...]] = set()  # in this process

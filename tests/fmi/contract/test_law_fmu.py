@@ -1,6 +1,7 @@
 """Formation laws that are FMUs: equal to a class and between versions, saved and restored."""
 
 import os
+import re
 import subprocess
 
 import numpy as np
@@ -12,6 +13,7 @@ import testbed
 from testbed.core.errors import FlightError, InputError
 from testbed.logs.read import read_log
 from testbed.plan.world import build
+from testbed.pool.flight_task import FlightTask, run_task
 from testbed.scenario import load_scenario, set_duration
 
 DURATION_S = float(os.environ.get("TESTBED_FMU_FLIGHT_S", "30"))
@@ -160,6 +162,8 @@ def test_crash_leaves_a_complete_log(tmp_path):
     text = r"crashing\.fmu: uav1 at 5\.04 s: crashed \(SIGSEGV\) when told to step"
     with pytest.raises(FlightError, match=text):
         testbed.run(file, duration_s=10.0, out=tmp_path / "cut")
+    result = run_task(FlightTask(0, set_duration(load_scenario(file), 6.0)))  # of a study
+    assert result.outcome == "failed" and re.search(text, result.error)
     log = read_log(tmp_path / "cut" / "run.mcap")
     assert log.finished and log.time_s[-1] == pytest.approx(5.0, abs=0.1)
     assert log.metrics["outcome"] == "failed"
