@@ -52,7 +52,8 @@ class Archive:
             InputError: it cannot be read, is no ZIP file, is too large, or has an entry that is no
                 plain file inside of it; the text begins with the path.
         """
-        self.path = path
+        self.path, self._process = path, os.getpid()
+        self._removal: weakref.finalize[..., Archive] | None = None
         self.data = read_bounded(path, MAX_BYTES, error=InputError)
         self.digest = hashlib.sha256(self.data).hexdigest()
         try:
@@ -122,11 +123,12 @@ class Archive:
     def unpack(self, binary: str) -> Path:
         """Unpack a binary with its folder, and the resources, into a folder of this process.
 
-        The folder is for this account alone, and is removed at the end of the process.
+        The folder is for this account alone. It is removed by `remove`, or at the end of the
+        process; not by a forked process.
         """
         beside = f"{binary.rpartition('/')[0]}/"
         folder = Path(tempfile.mkdtemp(prefix="testbed-fmu-"))
-        weakref.finalize(self, _remove, folder, os.getpid())
+        self._removal = weakref.finalize(self, _remove, folder, os.getpid())
         (folder / "resources").mkdir()
         for name in self.names:
             if name.startswith((beside, "resources/")):
@@ -136,6 +138,16 @@ class Archive:
                     out.write(self.read(name))
                 file.chmod(0o700 if name.startswith(beside) else 0o600)
         return folder
+
+    def remove(self) -> None:
+        """Remove what was unpacked; repeatable."""
+        if self._removal is not None and os.getpid() == self._process:
+            self._removal()
+
+    @property
+    def has_resources(self) -> bool:
+        """Whether there are files that instances may read."""
+        return any(each.startswith("resources/") for each in self.names)
 
 
 def _remove(folder: Path, process: int) -> None:

@@ -10,6 +10,7 @@ import os
 import weakref
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from testbed.core.errors import InputError
@@ -64,19 +65,19 @@ class FmuLibrary:
 
     CONSTANT = True  # for a saved flight
 
-    def __init__(self, archive: Archive, model: ModelDescription) -> None:
-        """Unpack and load the binary of this platform.
+    def __init__(self, archive: Archive, model: ModelDescription, folder: Path) -> None:
+        """Load the binary of this platform.
 
         Args:
             archive: checked.
             model: its description.
+            folder: into which its binary was unpacked.
 
         Raises:
-            InputError: there is none, or it cannot be loaded.
+            InputError: it cannot be loaded.
         """
-        self.model, self._archive = model, archive
+        self.model, self._archive, self._folder = model, archive, folder
         binary = archive.binary_name(model.version, model.identifier)
-        self._folder = archive.unpack(binary)
         try:
             self._library = ctypes.CDLL(str(self._folder / binary), os.RTLD_NOW | os.RTLD_LOCAL)
         except OSError as error:

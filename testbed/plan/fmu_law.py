@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -293,7 +293,42 @@ def call_names(model: ModelDescription) -> list[str]:
     return f"{of_step} {of_state}".split()
 
 
-_libraries: dict[tuple[str, str], FmuLibrary] = {}  # loaded in this process, by file and digest
+class _Opened(NamedTuple):
+    """An FMU that is unpacked."""
+
+    archive: Archive
+    model: ModelDescription
+    folder: Path
+
+
+# by file and digest, of this process or of one that has forked it
+_opened: dict[tuple[str, str], _Opened] = {}
+_libraries: dict[tuple[str, str], FmuLibrary] = {}
+
+
+@contextmanager
+def opened_fmu(path: Path) -> Iterator[None]:
+    """Unpack an FMU for the forked processes of the block, which cannot clean up after a crash.
+
+    Raises:
+        InputError: it cannot be used; the text begins with its path.
+    """
+    key = _open(path)
+    try:
+        yield
+    finally:
+        if key not in _libraries and key in _opened:
+            _opened.pop(key).archive.remove()
+
+
+def _open(path: Path) -> tuple[str, str]:
+    archive = Archive(path)
+    key = str(path), archive.digest
+    if key not in _opened and key not in _libraries:
+        model = read_description(archive)
+        folder = archive.unpack(archive.binary_name(model.version, model.identifier))
+        _opened[key] = _Opened(archive, model, folder)
+    return key
 
 
 def load_fmu(path: Path) -> FmuLibrary:
@@ -302,10 +337,12 @@ def load_fmu(path: Path) -> FmuLibrary:
     Raises:
         InputError: it cannot be used; the text begins with its path.
     """
-    archive = Archive(path)
-    key = str(path), archive.digest
+    key = _open(path)
     if key not in _libraries:
-        _libraries[key] = FmuLibrary(archive, read_description(archive))
+        found = _opened[key]
+        _libraries[key] = FmuLibrary(*found)
+        if not found.archive.has_resources:
+            found.archive.remove()  # the loaded file is not needed any more
     return _libraries[key]
 
 

@@ -130,7 +130,7 @@ def _build_fmu(
     hbh23: Hbh23Law,
 ) -> tuple[Law, str]:
     """Build the law of an FMU; see `build_law`."""
-    from testbed.plan.fmu_law import build_fmu, try_first
+    from testbed.plan.fmu_law import build_fmu, opened_fmu, try_first
 
     def build() -> tuple[FmuLaw, LawVariables]:
         return build_fmu(path, variables, options, config, hbh23, config.gains.shape[1])
@@ -140,8 +140,9 @@ def _build_fmu(
         names_of_all[agent] = each
     digest = hashlib.sha256(read_fmu(path)).hexdigest()
     key = str(path), digest, repr(variables), repr(options), *config.names
-    try_first(lambda: check_law(build()[0], config), names_of_all, *key)
-    law, found = build()
+    with opened_fmu(path):
+        try_first(lambda: check_law(build()[0], config), names_of_all, *key)
+        law, found = build()
     names = found.config_names
     names |= {"offsets"} if "slot" in names else set()
     names |= {"command_from_velocity"} if found.kind == "velocity" else set()

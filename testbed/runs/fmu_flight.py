@@ -13,7 +13,13 @@ from testbed.logs.file_record import RECORD_NAME
 from testbed.logs.mcap_file import tail_path
 from testbed.logs.run_directory import LOG_NAME, METRICS_NAME, SCENARIO_NAME
 from testbed.metrics.model import Metrics
-from testbed.plan.fmu_law import TOLD, CallReport, describe_crash, reporting_calls
+from testbed.plan.fmu_law import (
+    TOLD,
+    CallReport,
+    describe_crash,
+    opened_fmu,
+    reporting_calls,
+)
 from testbed.runs.external_options import ExternalOptions
 from testbed.runs.flight_progress import Report
 from testbed.scenario import FMU, Scenario
@@ -55,6 +61,17 @@ def fly_fmu(
         InputError: it has crashed before the flight.
         Exception: what `fly` raises.
     """
+    with opened_fmu(Path(scenario.controller.law)):
+        return _fly_forked(scenario, fly, folder, report, external)
+
+
+def _fly_forked(
+    scenario: Scenario,
+    fly: Fly,
+    folder: Path | None,
+    report: Report | None,
+    external: ExternalOptions,
+) -> tuple[Metrics, Path | None]:
     flight = _ForkedFlight(scenario, fly, report, external)
     calls = CallReport()
     try:

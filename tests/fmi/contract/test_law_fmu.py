@@ -3,6 +3,7 @@
 import os
 import re
 import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -214,3 +215,18 @@ def test_new_fmu_law_builds_and_flies(tmp_path):
         for each in ("mine", "other")
     ]  # fmt: skip
     assert errors[0] == pytest.approx(errors[1], abs=1e-6)
+
+
+def test_nothing_stays_in_the_temporary_folder(tmp_path):
+    """After a flight, a crash and a validation no unpacked file is left."""
+    need_compiler()
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    place = {**environment(200), "TMPDIR": str(temporary)}
+    for name, *definitions in (("sound",), ("crashing", "CRASH_S=1.0")):
+        file = write_law(tmp_path, name, *definitions)
+        for words in ("validate", file), ("run", file, "--duration", "3", "--out", name):
+            command = sys.executable, "-m", "testbed", *map(str, words)
+            done = subprocess.run(command, cwd=tmp_path, env=place, capture_output=True)
+            assert done.returncode == (2 if definitions and words[0] == "run" else 0), done.stderr
+    assert not [*temporary.glob("testbed-fmu-*")]
