@@ -33,7 +33,7 @@ from testbed.core.errors import InputError
 from testbed.core.files import report_write_errors, write_text_file
 from testbed.core.input_files import parse_json_map, read_bounded
 from testbed.metrics.document import to_json
-from testbed.plan.fleet import resolve
+from testbed.plan.measured_fleet import resolve
 from testbed.plan.scenario_files import digests, referenced_files, referents
 from testbed.pool.flight_code import describe_code, flight_code
 from testbed.pool.flight_pool import FlightPool, open_flight_pool

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from testbed.metrics.expectations import compares_flights
-from testbed.plan.fleet import resolve
+from testbed.plan.measured_fleet import resolve
 from testbed.scenario import Scenario, ScenarioFile, set_duration, set_seed
 from testbed.scenario.arguments import with_changes
 from testbed.scenario.schema import SECOND_HALF

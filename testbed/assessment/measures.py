@@ -23,7 +23,7 @@ from testbed.linear.predicted_margins import (
 )
 from testbed.linear.steady_flight import MarginsError, suitable_banks
 from testbed.metrics.model import Metrics
-from testbed.plan.fleet import resolve
+from testbed.plan.measured_fleet import resolve
 from testbed.pool.flight_task import COMPLETED, describe_ending
 from testbed.runs.repeated import RepeatedFlights
 from testbed.runs.run import run

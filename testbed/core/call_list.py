@@ -98,6 +98,7 @@ class Call:
 PythonStep: TypeAlias = Callable[[float], object]  # of the time of a tick, s
 # In a pair the step of Python runs where the call returns something but 0.
 Step: TypeAlias = Call | PythonStep | tuple[Call, PythonStep]
+Steps: TypeAlias = tuple[Step, ...]
 
 
 def run_steps(steps: Sequence[Step], now: float) -> None:

@@ -120,6 +120,24 @@ def needs_extra(extra: str, purpose: str) -> Iterator[None]:
         ) from None
 
 
+@contextmanager
+def needs_jsbsim() -> Iterator[None]:
+    """Import JSBSim in the block.
+
+    Raises:
+        MissingExtraError: it is not installed, as on Linux with an ARM processor, for which there
+            is no wheel.
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        raise MissingExtraError(
+            "JSBSim is not installed, and this command flies or measures aircraft with it: pip "
+            "has it for computers other than those with Linux on ARM (run the command on such a "
+            "one; testbed companion needs no JSBSim)"
+        ) from error
+
+
 # as the loader of libraries, other libraries and threading say it
 _NO_MEMORY = ("failed to map segment", "cannot allocate memory", "can't start new thread")
 

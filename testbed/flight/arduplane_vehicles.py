@@ -10,7 +10,7 @@ import numpy as np
 
 from testbed.ardupilot.json_physics import MOTION_NUMBERS, pack_motion
 from testbed.ardupilot.sitl_process import stop_processes
-from testbed.core.call_list import Call
+from testbed.core.call_list import Call, Steps
 from testbed.core.compile import bind_entry
 from testbed.core.records import (
     BoolArray,
@@ -20,7 +20,7 @@ from testbed.core.records import (
     Records,
     join_names,
 )
-from testbed.flight.vehicles import JsbsimVehicles, Steps
+from testbed.flight.vehicles import JsbsimVehicles
 from testbed.vehicle.fleet import FlightModels, Move
 
 if TYPE_CHECKING:

@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from testbed.core.call_list import Call
+from testbed.core.call_list import Call, Steps
 from testbed.core.compile import entry
 from testbed.core.copies import copy_command
 from testbed.core.records import BoolArray, FbwaCommand, Indices, Records
-from testbed.flight.vehicles import LeaderInput, Steps
+from testbed.flight.vehicles import LeaderInput
 
 
 class ArrayCommands:

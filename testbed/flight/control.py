@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from testbed.core.call_list import NOW, Call
+from testbed.core.call_list import NOW, Call, Steps
 from testbed.core.compile import entry, kernel
 from testbed.core.errors import FlightError, InputError, describe_error
 from testbed.core.flags import LimiterFlag, Saturation
@@ -35,7 +35,8 @@ from testbed.core.records import (
 )
 from testbed.flight.law_inputs import Declared, WindEstimates, give_inputs
 from testbed.flight.law_reports import LawReports
-from testbed.flight.vehicles import Steps
+from testbed.formation import barrier
+from testbed.formation.barrier import sample_barrier
 from testbed.formation.compiled_law import (
     UNICYCLE,
     CompiledLaw,
@@ -45,7 +46,7 @@ from testbed.formation.compiled_law import (
 )
 from testbed.formation.control_step import control_step, finish_step
 from testbed.formation.law import FormationConfig, Law
-from testbed.formation.law_outputs import outputs_of
+from testbed.formation.law_outputs import Outputs, outputs_of
 from testbed.formation.message_extrapolation import message_ages
 
 if TYPE_CHECKING:
@@ -64,6 +65,42 @@ class ControlGroup:
     rows: Indices  # (m,) among the n followers
     config: FormationConfig
     law: Law | None  # a user's law; None: that of [HBH23]
+
+
+@dataclass(frozen=True)
+class BuiltControl:
+    """The control of n followers, before the first step."""
+
+    config: FormationConfig  # of all followers
+    groups: tuple[ControlGroup, ...]
+    controllers: Records  # (n,) of CONTROLLER
+    neighbours: Records  # (n, N) of NEIGHBOUR
+    builtin: bool  # the law is that of [HBH23]
+    hold_stale_neighbours: bool
+    messages: tuple[str, ...]  # about a user's code
+    extrapolates: bool = False  # a user's law receives messages extrapolated to the present
+
+    @property
+    def outputs(self) -> Outputs:
+        """What a user's law gives besides commands."""
+        return outputs_of(self.groups[0].law)
+
+    @property
+    def barriers(self) -> tuple[tuple[int, float], ...]:
+        """Example and ν of each follower's barrier, 0 for a user's; empty for a user's law."""
+        records = self.controllers["law"]["barrier"]
+        pairs = zip(records["example"].tolist(), records["nu"].tolist(), strict=True)
+        return tuple(pairs) if self.builtin else ()
+
+    @property
+    def barrier_samples(self) -> tuple[tuple[float, ...], ...]:
+        """Samples of each follower's barrier if it is a user's; empty if none is."""
+        if not self.builtin:
+            return ()
+        bounds = (self.config.airspeed_min.tolist(), self.config.airspeed_max.tolist())
+        each = barrier.barriers_of(self.controllers["law"]["barrier"])
+        samples = tuple(sample_barrier(*one) for one in zip(each, *bounds, strict=True))
+        return samples if any(samples) else ()
 
 
 def _memory_key(number: int, group: ControlGroup) -> str:

@@ -8,8 +8,9 @@ from typing import Protocol
 
 import numpy as np
 
+from testbed.core.call_list import Steps
 from testbed.core.records import BoolArray, Event, FbwaCommand, Records, VehicleState
-from testbed.flight.vehicles import LeaderInput, Steps
+from testbed.flight.vehicles import LeaderInput
 from testbed.mavlink.vehicle_control import VehicleControl
 
 

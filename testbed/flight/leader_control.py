@@ -7,9 +7,9 @@ from typing import Protocol
 
 import numpy as np
 
-from testbed.core.call_list import Call
+from testbed.core.call_list import Call, Steps
 from testbed.core.records import AIRCRAFT, FbwaCommand, Records, VehicleState, allocate
-from testbed.flight.vehicles import LeaderInput, Steps, command_own_motion
+from testbed.flight.vehicles import LeaderInput, command_own_motion
 from testbed.guidance.flight_plan import FlightPlan, GuidanceMission
 from testbed.guidance.mission_follower import (
     Hold,

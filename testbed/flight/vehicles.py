@@ -12,7 +12,7 @@ import numpy as np
 
 from testbed.autopilot.fbwa import fly_by_wire_a, settled_autopilots
 from testbed.autopilot.parameters import AutopilotTiming, FbwaParams, make_gains
-from testbed.core.call_list import Call, Step, run_steps, steps_if
+from testbed.core.call_list import Call, Step, Steps, run_steps, steps_if
 from testbed.core.compile import entry
 from testbed.core.copies import copy_motion
 from testbed.core.records import (
@@ -28,7 +28,6 @@ from testbed.vehicle.control_surfaces import SERVO, any_floats, apply_actuator_f
 from testbed.vehicle.fleet import FlightModels, Move
 from testbed.vehicle.unicycle import advance, is_finite, stop_unicycles, write_motion
 
-Steps: TypeAlias = tuple[Step, ...]
 LeaderInput: TypeAlias = tuple[Array, Array]  # u (1,) m/s and ω (3,) rad/s of an ideal leader
 
 

@@ -18,7 +18,7 @@ from testbed.core.saved_state import copy_state
 from testbed.flight.arduplane_vehicles import ArduPlaneVehicles
 from testbed.flight.array_commands import ArrayCommands
 from testbed.flight.companion import Companions
-from testbed.flight.control import Control, ControlGroup
+from testbed.flight.control import BuiltControl, Control
 from testbed.flight.external_control import ExternalControl
 from testbed.flight.faults import FaultManager
 from testbed.flight.leader_control import LeaderController
@@ -28,10 +28,6 @@ from testbed.flight.limits import (
 )
 from testbed.flight.schedule import Clock
 from testbed.flight.vehicles import ScriptedVehicle, Vehicles
-from testbed.formation import barrier
-from testbed.formation.barrier import sample_barrier
-from testbed.formation.law import FormationConfig
-from testbed.formation.law_outputs import Outputs, outputs_of
 from testbed.network.outages import Outages
 from testbed.network.radio import Radio
 from testbed.scenario.set_keys import UnusedKey
@@ -64,42 +60,6 @@ class LeaderSetup:
     motion: tuple[tuple[Array, Array], ...] | None
     limits: SpeedLimits | None  # of its motion over the ground, where that is not known
     limits_in_air: SpeedLimits | None  # the same through the air
-
-
-@dataclass(frozen=True)
-class BuiltControl:
-    """The control of n followers, before the first step."""
-
-    config: FormationConfig  # of all followers
-    groups: tuple[ControlGroup, ...]
-    controllers: Records  # (n,) of CONTROLLER
-    neighbours: Records  # (n, N) of NEIGHBOUR
-    builtin: bool  # the law is that of [HBH23]
-    hold_stale_neighbours: bool
-    messages: tuple[str, ...]  # about a user's code
-    extrapolates: bool = False  # a user's law receives messages extrapolated to the present
-
-    @property
-    def outputs(self) -> Outputs:
-        """What a user's law gives besides commands."""
-        return outputs_of(self.groups[0].law)
-
-    @property
-    def barriers(self) -> tuple[tuple[int, float], ...]:
-        """Example and ν of each follower's barrier, 0 for a user's; empty for a user's law."""
-        records = self.controllers["law"]["barrier"]
-        pairs = zip(records["example"].tolist(), records["nu"].tolist(), strict=True)
-        return tuple(pairs) if self.builtin else ()
-
-    @property
-    def barrier_samples(self) -> tuple[tuple[float, ...], ...]:
-        """Samples of each follower's barrier if it is a user's; empty if none is."""
-        if not self.builtin:
-            return ()
-        bounds = (self.config.airspeed_min.tolist(), self.config.airspeed_max.tolist())
-        each = barrier.barriers_of(self.controllers["law"]["barrier"])
-        samples = tuple(sample_barrier(*one) for one in zip(each, *bounds, strict=True))
-        return samples if any(samples) else ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -52,8 +52,10 @@ from testbed.logs.run_directory import (
 from testbed.metrics.document import write_json
 from testbed.metrics.model import Metrics
 from testbed.metrics.observer import MetricsObserver
-from testbed.plan.fleet import FormationPlan, resolve
-from testbed.plan.world import build_clock, versions
+from testbed.plan.clock import build_clock
+from testbed.plan.fleet import FormationPlan
+from testbed.plan.measured_fleet import resolve
+from testbed.plan.world import versions
 from testbed.scenario import Scenario, ScenarioText
 from testbed.scenario.fields import MAX_DURATION_S
 

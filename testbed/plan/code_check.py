@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from testbed.core.compile import registering
 from testbed.core.errors import InputError
+from testbed.plan.clock import build_clock
 from testbed.plan.control import build_control
-from testbed.plan.fleet import resolve
-from testbed.plan.world import build_clock
+from testbed.plan.measured_fleet import resolve
 from testbed.scenario import Scenario, code_references
 
 

@@ -17,9 +17,8 @@ from testbed.core.records import Array, FbwaCommand, Records, UnicycleCommand, a
 from testbed.core.speed_model import OwnSpeedModel, speed_model_records
 from testbed.core.speed_model import make_own as make_speed_model
 from testbed.flight.companion import Companions
-from testbed.flight.control import ControlGroup, law_name
+from testbed.flight.control import BuiltControl, ControlGroup, law_name
 from testbed.flight.schedule import Clock
-from testbed.flight.world import BuiltControl
 from testbed.formation import barrier, control_function
 from testbed.formation import leader_filter as leader
 from testbed.formation.assumptions import SpeedSet, check_barrier, margin
@@ -48,8 +47,20 @@ _ANGULAR_ACCELERATION_SOURCES = {
 }
 
 
-def build_control(fleet: FormationPlan, controller: Controller, clock: Clock) -> BuiltControl:
-    """Build the control of the followers of a fleet."""
+def build_control(
+    fleet: FormationPlan,
+    controller: Controller,
+    clock: Clock,
+    groups: Sequence[Sequence[int]] | None = None,
+) -> BuiltControl:
+    """Build the control of the followers of a fleet.
+
+    Args:
+        fleet: the aircraft.
+        controller: section of the scenario.
+        clock: of the run.
+        groups: rows of followers that step together; None: those of the clock.
+    """
     builtin = controller.law == BUILT_IN
     extrapolates = not builtin and controller.extrapolate_from is not None
     config, parts = build_config(fleet, controller, dt=clock.control / clock.base_rate_hz)
@@ -68,8 +79,8 @@ def build_control(fleet: FormationPlan, controller: Controller, clock: Clock) ->
     if extrapolates:
         reads.extrapolation.use()
     commands: set[type] = {UnicycleCommand} if builtin else set()
-    groups = []
-    for rows in clock.groups:
+    built = []
+    for rows in clock.groups if groups is None else groups:
         members, user_law = select_followers(config, rows), None
         if not builtin:
             indices = list(rows)
@@ -81,14 +92,14 @@ def build_control(fleet: FormationPlan, controller: Controller, clock: Clock) ->
             )
             commands.add(_check_user_law(fleet.followers, members, user_law, controller))
             messages.append(f"the law {law_name(user_law)} runs {origin}")
-        groups.append(ControlGroup(np.array(rows, dtype=np.intp), members, user_law))
+        built.append(ControlGroup(np.array(rows, dtype=np.intp), members, user_law))
     if UnicycleCommand in commands:
         flown_loops.use()
     if FbwaCommand in commands:  # which are limited to them
         _use(parts["pitch_limit"], parts["roll_limit"])
     return BuiltControl(
         config,
-        tuple(groups),
+        tuple(built),
         controllers,
         neighbours,
         builtin,

@@ -1,7 +1,8 @@
 """The aircraft of a scenario, with the files that they name, and the formation that they fly.
 
-`resolve` reads each file and solves for the gains once. Builders take the result, and the section
-of the scenario that they build.
+`plan_formation` reads each file and solves for the gains once, `measured_fleet.resolve` with the
+airframes as JSBSim measures them. Builders take the result, and the section of the scenario that
+they build.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -42,7 +43,6 @@ from testbed.scenario.control import (
 )
 from testbed.scenario.middle_loop import Guidance
 from testbed.scenario.set_keys import register_section
-from testbed.vehicle.jsbsim_adapter import airframe, probe_airframes
 
 
 class AgentParameters:
@@ -175,27 +175,33 @@ class FormationPlan(Fleet):
         return np.array([value(each) for each in self.followers], dtype=np.float64)
 
 
-def resolve_single(flight: SingleAircraft) -> Fleet:
+Measure: TypeAlias = Callable[[Path], Airframe]  # of the folder of an aircraft
+
+
+def plan_single(flight: SingleAircraft, measure: Measure) -> Fleet:
     """Read the files of one aircraft that flies without a formation.
 
     Raises:
-        ScenarioError, ParamError, AircraftError: see `resolve`.
+        ScenarioError, ParamError, AircraftError: see `plan_formation`.
     """
     folder = find_aircraft(flight.only.aircraft)
-    alone = PlannedAircraft(**_read_files(0, flight.only, folder, read_params, load_guidance))
-    return Fleet((alone,), _origin(flight))
+    files = _read_files(0, flight.only, folder, read_params, load_guidance, measure)
+    return Fleet((PlannedAircraft(**files),), _origin(flight))
 
 
-def resolve(scenario: Scenario) -> FormationPlan:
+def plan_formation(scenario: Scenario, measure: Measure) -> FormationPlan:
     """Read the files of all aircraft of a scenario, and solve for the formation's gains.
+
+    Args:
+        scenario: that is flown.
+        measure: returns the properties of an airframe, which laws do not need.
 
     Raises:
         ScenarioError, ParamError, AircraftError: a folder has no valid aircraft, parameters or
             gains; or a follower has no position reference.
     """
     folders = [find_aircraft(each.aircraft) for each in scenario.aircraft]
-    probe_airframes(folders)
-    readers = cache(read_params), cache(load_guidance)
+    readers = cache(read_params), cache(load_guidance), measure
     gains = cache(lambda folder: _read_gains(scenario, folder))
     scripted = not isinstance(scenario.leader.path, Mission)
     files = [
@@ -242,6 +248,7 @@ def _read_files(
     folder: Path,
     params: Callable[[Path], FbwaParams],
     guidance: Callable[[Path], Guidance],
+    measure: Measure,
     *,
     is_scripted: bool = False,
 ) -> dict[str, Any]:
@@ -254,7 +261,7 @@ def _read_files(
         "row": row,
         "section": section,
         "folder": folder,
-        "airframe": airframe(folder),
+        "airframe": measure(folder),
         "tune_file": tune_file,
         "params": params(tune_file),
         "guidance": guidance(folder),

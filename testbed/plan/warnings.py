@@ -12,7 +12,8 @@ import numpy as np
 from testbed.autopilot.parameters import sitl_gyro_cutoff, unusual_values
 from testbed.core.errors import InputError
 from testbed.core.records import Array, Event, join_names
-from testbed.flight.world import BuiltControl, LeaderSetup
+from testbed.flight.control import BuiltControl
+from testbed.flight.world import LeaderSetup
 from testbed.formation.assumptions import (
     Finding,
     SpeedSet,

@@ -12,7 +12,6 @@ import numpy as np
 from testbed.atmosphere.air import Atmosphere
 from testbed.atmosphere.mean_wind import MeanWind
 from testbed.core.compile import registered, registering
-from testbed.core.random import named_stream
 from testbed.core.reads import unrecorded
 from testbed.core.records import (
     AIRCRAFT,
@@ -30,14 +29,14 @@ from testbed.core.samples import LastSample
 from testbed.core.start_time import start_unix_ns
 from testbed.core.version import __version__
 from testbed.flight.arduplane_vehicles import ArduPlaneVehicles
-from testbed.flight.control import Control, LawSurroundings
+from testbed.flight.control import BuiltControl, Control, LawSurroundings
 from testbed.flight.faults import FaultManager, no_faults
 from testbed.flight.law_inputs import declared_faults, wind_estimates
 from testbed.flight.law_reports import LawReports
 from testbed.flight.limits import ProximityMonitor
 from testbed.flight.loop import Flight
-from testbed.flight.schedule import Clock, make_clock
-from testbed.flight.world import BuiltControl, FormationParts, LeaderSetup, World
+from testbed.flight.schedule import Clock
+from testbed.flight.world import FormationParts, LeaderSetup, World
 from testbed.formation.law import FormationConfig
 from testbed.plan.air import (
     build_air,
@@ -49,13 +48,15 @@ from testbed.plan.air import (
     temperature_warnings,
 )
 from testbed.plan.begin import make_begin
+from testbed.plan.clock import build_clock
 from testbed.plan.command_sessions import build_array_commands, build_external_control
 from testbed.plan.control import build_companions, build_control
 from testbed.plan.faults import build_faults, build_membership, fault_warnings
-from testbed.plan.fleet import Fleet, FormationPlan, resolve, resolve_single
+from testbed.plan.fleet import Fleet, FormationPlan
 from testbed.plan.leader import build_leader
 from testbed.plan.limits import build_envelope_monitor, build_proximity, separation_warnings
-from testbed.plan.radio import build_radio, check_payload, received_weights, transmit_times
+from testbed.plan.measured_fleet import resolve, resolve_single
+from testbed.plan.radio import build_radio, check_payload, received_weights
 from testbed.plan.resources import check_memory
 from testbed.plan.user_code import with_stored_code
 from testbed.plan.vehicles import (
@@ -84,7 +85,6 @@ from testbed.scenario import (
     ScenarioText,
     SingleAircraft,
 )
-from testbed.scenario.sections import Rates
 from testbed.scenario.set_keys import KeyUse, read_all, recorded_reads, unused_keys
 from testbed.sensors.estimators import StateEstimators
 from testbed.vehicle.environment import describe_integrators
@@ -406,18 +406,6 @@ def build_single(flight: SingleAircraft) -> World:
         ),
         entries=registered(),
     )
-
-
-def build_clock(scenario: Scenario | SingleAircraft) -> Clock:
-    """Build the clock of a scenario, with random phases of unsynchronised aircraft."""
-    rates = {name: getattr(scenario.rates, name) for name in Rates.model_fields}
-    synchronous = rates.pop("synchronous")
-    names, seed = [each.name for each in scenario.aircraft], scenario.scenario.seed
-    phases = None
-    if not synchronous:
-        phases = [float(named_stream(seed, f"phase/{name}").random()) for name in names]
-    times = transmit_times(names, scenario.network) if isinstance(scenario, Scenario) else {}
-    return make_clock(**rates, aircraft=len(names), phases=phases, transmit_times=times)
 
 
 def versions() -> dict[str, str]:

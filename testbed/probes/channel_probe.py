@@ -11,9 +11,9 @@ import numpy as np
 from testbed.core.records import Array, Broadcast, NedOrigin, Records, VehicleState
 from testbed.flight.schedule import Clock
 from testbed.network.links import Numbers, Outcomes
+from testbed.plan.clock import build_clock
 from testbed.plan.fleet import solve_weights
 from testbed.plan.radio import build_radio
-from testbed.plan.world import build_clock
 from testbed.scenario import Scenario
 
 PROGRESS_INTERVAL = 1000  # transmissions between two progress reports

@@ -14,11 +14,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import jsbsim
-
 from testbed.airframes.airframe_validation import has_planet, probe_in_copy
 from testbed.airframes.inertia import impossible_inertia, unlikely_inertia
 from testbed.airframes.powerplant import AircraftError
+from testbed.core.errors import needs_jsbsim
 from testbed.core.records import Airframe, NedOrigin
 from testbed.vehicle.airframe_measurement import (
     SLOWEST_PROBE,
@@ -39,6 +38,9 @@ from testbed.vehicle.trim import (
     error_prefix,
     trim,
 )
+
+with needs_jsbsim():
+    import jsbsim
 
 # Set by the files; properties and point masses may change them when loaded.
 _SIZES = ("inertia/mass-slugs", "metrics/Sw-sqft", "metrics/bw-ft", "metrics/cbarw-ft")

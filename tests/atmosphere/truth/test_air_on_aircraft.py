@@ -15,7 +15,7 @@ from testbed.plan.air import (
     temperature_offset,
     temperature_warnings,
 )
-from testbed.plan.fleet import resolve
+from testbed.plan.measured_fleet import resolve
 from testbed.plan.world import build
 from testbed.scenario import find_aircraft, load_scenario, set_duration
 from testbed.vehicle.environment import INTEGRATORS, JSBSIM_DEFAULT_INTEGRATORS

@@ -22,10 +22,11 @@ from testbed.formation.compiled_law import CompiledLaw, allocate_inputs
 from testbed.formation.control_step import CONTROLLER, Hbh23Law
 from testbed.formation.hbh23 import NEIGHBOUR
 from testbed.logs.read import read_log
+from testbed.plan.clock import build_clock
 from testbed.plan.control import build_control
-from testbed.plan.fleet import resolve
+from testbed.plan.measured_fleet import resolve
 from testbed.plan.user_code import build_law, check_law
-from testbed.plan.world import build, build_clock
+from testbed.plan.world import build
 from testbed.runs.run import list_stages
 from testbed.scenario import load_scenario, set_duration
 

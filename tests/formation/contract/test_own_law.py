@@ -19,10 +19,11 @@ from testbed.formation.barrier import SpeedBarrier, barrier_curve, logged_barrie
 from testbed.formation.control_step import Hbh23Law
 from testbed.golden.compare_runs import compare_runs
 from testbed.logs.read import read_log
+from testbed.plan.clock import build_clock
 from testbed.plan.control import build_control
-from testbed.plan.fleet import resolve
+from testbed.plan.measured_fleet import resolve
 from testbed.plan.user_code import check_law
-from testbed.plan.world import build, build_clock
+from testbed.plan.world import build
 from testbed.pool.flight_task import FlightTask, run_task
 from testbed.reports import figures, read_run, run_page
 from testbed.reports.html import render_page

@@ -5,9 +5,9 @@ import pytest
 
 from testbed.core.errors import InputError
 from testbed.formation.paper_law import make_paper_law
+from testbed.plan.clock import build_clock
 from testbed.plan.control import build_control
-from testbed.plan.fleet import resolve
-from testbed.plan.world import build_clock
+from testbed.plan.measured_fleet import resolve
 from testbed.scenario import load_scenario
 
 OFFSETS = [[-5.0, 5.0, 0.0], [-5.0, -5.0, -4.0], [-5.0, -5.0, 4.0]]

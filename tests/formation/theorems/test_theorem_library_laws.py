@@ -12,10 +12,10 @@ from scipy.optimize import lsq_linear
 
 from testbed.flight.control import law_file
 from testbed.formation.compiled_law import allocate_inputs
+from testbed.plan.clock import build_clock
 from testbed.plan.control import build_control
-from testbed.plan.fleet import resolve
+from testbed.plan.measured_fleet import resolve
 from testbed.plan.user_code import import_code
-from testbed.plan.world import build_clock
 from testbed.scenario import load_scenario
 
 GRAVITY = 9.81

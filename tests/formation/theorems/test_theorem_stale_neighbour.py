@@ -19,7 +19,7 @@ from testbed.core.records import Messages, VehicleState
 from testbed.formation import leader_filter as leading
 from testbed.formation.control_step import Hbh23Law
 from testbed.plan.control import build_control
-from testbed.plan.fleet import resolve
+from testbed.plan.measured_fleet import resolve
 from testbed.scenario import load_scenario
 
 HZ, TICKS = 25, 8

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from testbed.plan.fleet import resolve, solve_weights, unreachable_agents
+from testbed.plan.fleet import solve_weights, unreachable_agents
+from testbed.plan.measured_fleet import resolve
 from testbed.scenario import ScenarioError, load_scenario
 
 

@@ -8,7 +8,7 @@ from testbed.flight.schedule import make_clock
 from testbed.formation import leader_filter as leader
 from testbed.formation.control_function import EXAMPLE_2, EXAMPLE_3, example_1
 from testbed.plan.control import build_control
-from testbed.plan.fleet import resolve
+from testbed.plan.measured_fleet import resolve
 from testbed.scenario import ScenarioError, load_middle_loop, load_scenario
 
 FULL = TESTS / "data" / "scenarios" / "everything.yaml"
