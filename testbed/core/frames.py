@@ -75,6 +75,24 @@ def euler_rates(euler: Array, rates_body: Array) -> Array:
     return np.stack(attitude_rates(euler[..., 0], euler[..., 1], p, q, r), axis=-1)
 
 
+@jitable
+def specific_force(euler: Vector, acceleration_ned: Vector) -> Values:
+    """Return the specific force along body axes, m/s², which accelerometers measure.
+
+    Args:
+        euler: roll, pitch, yaw, rad.
+        acceleration_ned: derivative of the velocity, m/s².
+    """
+    rows = rotation_rows(euler)
+    north, east = acceleration_ned[0], acceleration_ned[1]
+    down = acceleration_ned[2] - GRAVITY
+    return (
+        rows[0][0] * north + rows[1][0] * east + rows[2][0] * down,
+        rows[0][1] * north + rows[1][1] * east + rows[2][1] * down,
+        rows[0][2] * north + rows[1][2] * east + rows[2][2] * down,
+    )
+
+
 def body_rates(euler: Array, angle_rates: Array) -> Array:
     """Return p, q, r (..., 3) rad/s from Euler angles and their derivatives (..., 3)."""
     sine, cosine = np.sin(euler), np.cos(euler)
@@ -144,6 +162,24 @@ def euler_from_quaternion(xyzw: Array) -> Array:
     out[..., 1] = np.arcsin(np.clip(sine, -1.0, 1.0))
     out[..., 2] = np.arctan2(2.0 * (w * z + x * y), length2 - 2.0 * (y * y + z * z))
     return out
+
+
+@jitable
+def angles_from_quaternion(x: float, y: float, z: float, w: float) -> tuple[float, float, float]:
+    """Return roll, pitch, yaw, rad, of a quaternion; see `euler_from_quaternion`.
+
+    For one aircraft, with the same last bits in kernels as in Python.
+
+    Raises:
+        ZeroDivisionError: in Python, the length is zero.
+    """
+    length2 = x * x + y * y + z * z + w * w
+    sine = 2.0 * (w * y - x * z) / length2
+    return (
+        math.atan2(2.0 * (w * x + y * z), length2 - 2.0 * (x * x + y * y)),
+        math.asin(min(max(sine, -1.0), 1.0)),
+        math.atan2(2.0 * (w * z + x * y), length2 - 2.0 * (y * y + z * z)),
+    )
 
 
 def course(velocity_ned: Array) -> Array:

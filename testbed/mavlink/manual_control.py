@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-import numpy as np
-
-from testbed.core.frames import euler_from_quaternion
+from testbed.core.frames import angles_from_quaternion
 from testbed.core.records import FbwaCommand
 from testbed.mavlink.codec import Message
 from testbed.mavlink.outgoing import Handler, OutgoingMessage
@@ -97,7 +95,7 @@ class ManualControl:
             norm = math.sqrt(w * w + x * x + y * y + z * z)
             if not QUATERNION_NORM[0] <= norm <= QUATERNION_NORM[1]:
                 return self._context.warn("Attitude target: give a unit quaternion w, x, y, z")
-            roll, pitch, _ = euler_from_quaternion(np.array([x, y, z, w])).tolist()
+            roll, pitch, _ = angles_from_quaternion(x, y, z, w)
             angles = self._context.rc_scaling().limits.clamp(roll, pitch)
         self._release_stale()
         if angles is not None:

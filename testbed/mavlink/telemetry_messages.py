@@ -69,6 +69,7 @@ TELEMETRY_MESSAGES: Mapping[str, TelemetryMessage] = {
     "EXTENDED_SYS_STATE": TelemetryMessage(status.extended_sys_state, 1.0),
     "HOME_POSITION": TelemetryMessage(status.home_position, 0.1),
     "NAMED_VALUE_FLOAT": TelemetryMessage(motion.formation_error, 2.0),
+    "SCALED_IMU": TelemetryMessage(motion.scaled_imu),
     "AOA_SSA": TelemetryMessage(motion.aoa_ssa),
     "GPS_GLOBAL_ORIGIN": TelemetryMessage(status.gps_global_origin),
     "AUTOPILOT_VERSION": TelemetryMessage(status.autopilot_version),

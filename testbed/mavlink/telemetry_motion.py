@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 
+from testbed.core.frames import GRAVITY, specific_force
 from testbed.core.geodetic import longitude_e7
 from testbed.mavlink.outgoing import Fields
 from testbed.mavlink.rc_channels import MAX_US, MIN_US, TRIM_US
@@ -22,6 +23,7 @@ from testbed.mavlink.vehicle_context import VehicleContext
 from testbed.mavlink.vehicle_control import FlightMode
 
 _E7 = 1e7  # of a degree
+_MILLI_G = 1e-3 * GRAVITY  # m/s²
 _UNKNOWN = 65535
 _NO_FIX, _FIX_3D = 1, 3  # GPS_FIX_TYPE_3D_FIX
 _DILUTION = 100  # of precision, hundredths: under a clear sky
@@ -103,6 +105,26 @@ def gps_raw_int(context: VehicleContext, snapshot: TelemetrySnapshot) -> Fields:
         "vel": to_integer(100.0 * math.hypot(north, east), U16),
         "cog": _hundredths(math.atan2(east, north)),
         "satellites_visible": _SATELLITES if fix else 0,
+    }
+
+
+def scaled_imu(context: VehicleContext, snapshot: TelemetrySnapshot) -> Fields:
+    """SCALED_IMU: specific force, mG, and rates, mrad/s, of the estimate; no magnetometer."""
+    row, time_boot_ms = context.row, snapshot.boot_ms
+    force = specific_force(snapshot.euler[row], snapshot.acceleration_ned[row])
+    xacc, yacc, zacc = (to_integer(each / _MILLI_G, I16) for each in force)
+    xgyro, ygyro, zgyro = (to_integer(1e3 * each, I16) for each in snapshot.rates_body[row])
+    return {
+        "time_boot_ms": time_boot_ms,
+        "xacc": xacc,
+        "yacc": yacc,
+        "zacc": zacc,
+        "xgyro": xgyro,
+        "ygyro": ygyro,
+        "zgyro": zgyro,
+        "xmag": 0,
+        "ymag": 0,
+        "zmag": 0,
     }
 
 

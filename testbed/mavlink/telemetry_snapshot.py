@@ -53,6 +53,7 @@ class TelemetrySnapshot:
 
     position_ned = _rows_of(lambda sample: sample.estimate.position_ned)  # (N, 3) m
     velocity_ned = _rows_of(lambda sample: sample.estimate.velocity_ned)  # (N, 3) m/s over ground
+    acceleration_ned = _rows_of(lambda sample: sample.estimate.acceleration_ned)  # (N, 3) m/s²
     euler = _rows_of(lambda sample: sample.estimate.euler)  # (N, 3) roll, pitch, yaw, rad
     quaternion_xyzw = _rows_of(lambda sample: quaternion_xyzw(sample.estimate.euler))  # (N, 4)
     rates_body = _rows_of(lambda sample: sample.estimate.rates_body)  # (N, 3) rad/s
