@@ -105,7 +105,13 @@ class FollowTarget:
         frames["magic"], frames["length"] = MAGIC, PAYLOAD.itemsize
         frames["sequence"], frames["system"] = numbers % 256, rows + 1
         frames["component"], frames["number"][:, 0] = AUTOPILOT, NUMBER
-        payload = frames["payload"]
+        self.write(message, frames["payload"])
+        raw = _bytes(frames)
+        frames["checksum"] = checksum(raw)
+        return raw
+
+    def write(self, message: Broadcast, payload: NDArray[np.void]) -> None:
+        """Write the broadcasts of S aircraft into payloads (S,) of PAYLOAD."""
         # NaN, which is of aircraft that do not send, has no geodetic position
         with np.errstate(invalid="ignore", over="ignore"):
             clock = np.floor(message.stamp_s * MS + _ROUNDING_MS) + BEGIN_MS
@@ -120,9 +126,6 @@ class FollowTarget:
             payload["attitude_q"][:, 1:] = attitude[:, :3]
             payload["rates"] = body_rates(message.euler, message.euler_rates)
         payload["est_capabilities"] = CAPABILITIES
-        raw = _bytes(frames)
-        frames["checksum"] = checksum(raw)
-        return raw
 
     def unpack(self, frames: Frames) -> tuple[Broadcast, IntArray, BoolArray]:
         """Unpack K frames (K, LENGTH).
@@ -143,14 +146,18 @@ class FollowTarget:
             & ~number[:, 1:].any(axis=1)
             & (received["checksum"] == checksum(frames))
         )
-        place = np.empty((len(received), 3))
+        return self.read(payload), received["system"].astype(np.int64) - 1, good
+
+    def read(self, payload: NDArray[np.void]) -> Broadcast:
+        """Read payloads (K,) of PAYLOAD, which may hold anything."""
+        place = np.empty((len(payload), 3))
         place[:, 0], place[:, 1] = payload["lat"] / E7, payload["lon"] / E7
         place[:, 2] = _wide(payload["alt"])
         quaternion = np.roll(_wide(payload["attitude_q"]), -1, axis=1)
         # a damaged frame may hold anything
         with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
             euler = euler_from_quaternion(quaternion)
-            broadcast = Broadcast(
+            return Broadcast(
                 stamp_s=(payload["timestamp"].astype(np.float64) - BEGIN_MS) / MS,
                 position_ned=ned_from_geodetic(place, self._origin),
                 velocity_ned=_wide(payload["vel"]),
@@ -158,7 +165,6 @@ class FollowTarget:
                 euler=euler,
                 euler_rates=euler_rates(euler, _wide(payload["rates"])),
             )
-        return broadcast, received["system"].astype(np.int64) - 1, good
 
 
 def _wide(numbers: NDArray[np.float32]) -> Array:

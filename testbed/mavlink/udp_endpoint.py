@@ -157,7 +157,12 @@ class Endpoint:
     """
 
     def __init__(
-        self, address: Address, clock: Callable[[], float], *, stamped: bool = False
+        self,
+        address: Address,
+        clock: Callable[[], float],
+        *,
+        stamped: bool = False,
+        interface: str = "",
     ) -> None:
         """Open the socket.
 
@@ -165,6 +170,8 @@ class Endpoint:
             address: of one port.
             clock: wall-clock time, s.
             stamped: for `receive_stamped`.
+            interface: address of this computer by which it joins the group that `address` is, and
+                sends to it, to the next router at most; empty: the host is no group.
         """
         self.dropped = self.unread = 0
         self._clock = clock
@@ -180,6 +187,8 @@ class Endpoint:
             with contextlib.suppress(OSError):  # another system: stamped when read
                 self._socket.setsockopt(socket.SOL_SOCKET, option, 1)
         try:
+            if interface:
+                self._join(address.host, interface)
             if self._fixed:
                 # connected, so that the system discards datagrams from other peers
                 self._socket.connect((address.host, address.port))
@@ -188,6 +197,18 @@ class Endpoint:
         except (OSError, UnicodeError) as error:  # UnicodeError: not a valid host name
             self._socket.close()
             raise InputError(_remedy(address, error)) from error
+
+    def _join(self, group: str, interface: str) -> None:
+        """Join a multicast group; other programs of this computer may join it, too."""
+        own = socket.inet_aton(interface)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        for option, value in (
+            (socket.IP_MULTICAST_TTL, b"\x01"),
+            (socket.IP_MULTICAST_LOOP, b"\x01"),
+            (socket.IP_MULTICAST_IF, own),
+            (socket.IP_ADD_MEMBERSHIP, socket.inet_aton(group) + own),
+        ):
+            self._socket.setsockopt(socket.IPPROTO_IP, option, value)
 
     def fileno(self) -> int:
         """Return the file descriptor, for select."""

@@ -1,0 +1,428 @@
+"""The loop of a companion: own state in, messages of others in, message and command out.
+
+One `select` waits for the autopilot and the formation; there is no thread. A sample of the own state
+ends with ATTITUDE: it is broadcast, and while the aircraft is engaged law and middle loop step once
+for it and their command is sent.
+"""
+
+from __future__ import annotations
+
+import math
+import select
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from testbed.companion.autopilot_requests import AutopilotRequests
+from testbed.companion.autopilot_state import ATTITUDE, OWN_STATE_MESSAGES, AutopilotState
+from testbed.companion.boot_clock import BootClock, monotonic_of
+from testbed.companion.clock_offset import ClockOffset
+from testbed.companion.engagement import CompanionText, Decision, EngagementState
+from testbed.companion.follower_control import FollowerControl
+from testbed.companion.formation_link import FormationLink
+from testbed.companion.formation_messages import (
+    NAME,
+    FormationMessages,
+    PeerMessage,
+    write_link,
+)
+from testbed.companion.loop_statistics import LoopStatistics
+from testbed.companion.observation import Observation, PeerObservation
+from testbed.companion.page_digest import AGREED_PARAMETERS, join_digests, parameter_digest
+from testbed.link.ends import End
+from testbed.mavlink.codec import Codec, Message
+from testbed.mavlink.outgoing import Severity, StatusTexts
+from testbed.mavlink.signing import MessageSigner, signing_time
+
+COMPONENT = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
+PIECES = 64  # of the autopilot at one read
+WAIT_S = 0.05  # longest wait, so that it decides 20 times a second whatever comes
+DECIDE_S = 0.04  # between decisions without a new sample
+IGNORED_RATES = 7  # type_mask of SET_ATTITUDE_TARGET: attitude and thrust count
+ANSWERED_S = 1.0  # in lockstep: after this wall time a sample that waits is broadcast again
+_MS = 1e-3
+
+
+class Gate(Protocol):
+    """Decides when the aircraft is commanded."""
+
+    def step(self, seen: Observation) -> Decision:
+        """Decide after an observation."""
+
+    @property
+    def may_end(self) -> bool:
+        """Whether the process may end."""
+
+
+class AtOnce:
+    """Command from the first sample on, whatever is observed: of a simulated aircraft."""
+
+    may_end = True
+
+    def step(self, seen: Observation) -> Decision:
+        """Decide after an observation."""
+        return Decision(EngagementState.ENGAGED, True, None, (), ())
+
+
+class Listener(Protocol):
+    """Takes what happens in the loop."""
+
+    def sample(self, loop: CompanionLoop) -> None:
+        """Take a sample of the own state, after its command."""
+
+    def text(self, boot_s: float, text: CompanionText) -> None:
+        """Take a text for the pilot."""
+
+    def alive(self) -> None:
+        """Note that the loop runs and has a fresh own state."""
+
+
+@dataclass(frozen=True, slots=True)
+class CompanionLinks:
+    """Open links of a companion.
+
+    Attributes:
+        autopilot: its end.
+        formation: to the others.
+        stream: the autopilot is at a line of bytes.
+        autopilot_signer: signs and verifies frames of the autopilot; None: unsigned.
+        formation_signer: the same of the others.
+    """
+
+    autopilot: End
+    formation: FormationLink
+    stream: bool
+    autopilot_signer: MessageSigner | None = None
+    formation_signer: MessageSigner | None = None
+
+
+class CompanionLoop:
+    """Fly one aircraft of a formation.
+
+    Attributes:
+        control: law and middle loop; its records are what is known.
+        state: of the autopilot.
+        boot_s: time of the newest sample, s since the autopilot's boot.
+        command: whether the newest sample was answered by a command.
+        statistics: of the loop.
+        errors: of the law; the first one ends the engagement.
+    """
+
+    def __init__(
+        self,
+        control: FollowerControl,
+        links: CompanionLinks,
+        gate: Gate,
+        page: int,
+        listeners: Sequence[Listener] = (),
+        *,
+        lockstep: bool = False,
+    ) -> None:
+        """Prepare; nothing is sent before `run`.
+
+        Args:
+            control: of the aircraft.
+            links: open ones.
+            gate: decides when the aircraft is commanded.
+            page: digest of the page.
+            listeners: take what happens.
+            lockstep: a step waits for the messages of its sample, and a run waits for the command.
+        """
+        self.control, self._links, self._gate, self._page = control, links, gate, page
+        self._listeners, self._lockstep = tuple(listeners), lockstep
+        row, names = control.row, control.plan.names
+        self._names = names
+        system = row + 1
+        self._autopilot = Codec(system, COMPONENT, links.autopilot_signer)
+        self._formation = Codec(system, COMPONENT, links.formation_signer)
+        self.state, self._clock = AutopilotState(system), BootClock()
+        self._requests = AutopilotRequests(
+            self._autopilot, system, OWN_STATE_MESSAGES, control.rate_hz, AGREED_PARAMETERS
+        )
+        self._messages = FormationMessages(control.plan.origin, len(names))
+        self._texts = StatusTexts()
+        self._target = {"target_system": system, "target_component": 1}
+        self.boot_s, self.command = -math.inf, False
+        self._sample_received_s = 0.0
+        self._answer = b""  # to the newest sample
+        self._broadcast = b""  # of the newest sample
+        self._waiting = False  # in lockstep: for the messages of the newest sample
+        self._mark_ms = -1  # in lockstep: all messages up to this time have come
+        self._receipt_s: float | None = None  # that the hub says of the next message
+        self._peers: dict[int, PeerObservation] = {}
+        self._offsets = {name: ClockOffset() for name in names}
+        self._decided_s = -math.inf
+        self._decision = Decision(EngagementState.WAITING, False, None, (), ())
+        self._heard = False
+        self.error: Exception | None = None
+        self.statistics = LoopStatistics([names[m] for m in control.used])
+
+    @property
+    def decision(self) -> Decision:
+        """The newest decision."""
+        return self._decision
+
+    def run(self, stop: Callable[[], bool]) -> None:
+        """Fly until a stop is requested and the aircraft is left.
+
+        Args:
+            stop: whether a stop is requested.
+
+        Raises:
+            ExternalProgramLost: the autopilot's device is gone.
+        """
+        ends = self._links.autopilot, self._links.formation
+        while True:
+            full = [self._links.autopilot] if self._links.autopilot.has_output else []
+            ready, _, _ = select.select(ends, full, [], WAIT_S)
+            if full:
+                self._links.autopilot.flush()
+            if self._links.formation in ready:
+                self._read_formation()
+            if self._links.autopilot in ready:
+                self._read_autopilot()
+            now_s = time.monotonic()
+            if self._heard:
+                for frame in self._requests.due(self.state, now_s):
+                    self._send(frame)
+            self._answer_waiting()
+            stopping = stop()
+            if stopping or now_s - self._decided_s >= DECIDE_S:
+                self._decide(now_s, stopping=stopping)
+            if stopping and self._gate.may_end:
+                return
+
+    def _send(self, frame: bytes) -> None:
+        self._links.autopilot.send(frame)
+
+    def _read_autopilot(self) -> None:
+        datagrams = not self._links.stream
+        for data, stamp_ns in self._links.autopilot.receive(PIECES):
+            now_s = time.monotonic()
+            received_s = monotonic_of(stamp_ns, now_s)
+            for message in self._autopilot.feed(data, datagram=datagrams):
+                if self.state.add(message, received_s):
+                    self._take_attitude(received_s)
+                elif message.name == "SYSTEM_TIME":
+                    self._advance_signers()
+                elif message.name == "HEARTBEAT" and message.component == 1:
+                    self._decided_s = -math.inf  # the mode may have changed
+            if not self._heard:
+                self._heard = True
+
+    def _take_attitude(self, received_s: float) -> None:
+        """Take the end of a sample."""
+        state = self.state
+        if state.boot_ms is None or not state.has_own_state:
+            return
+        boot_s = state.boot_ms * _MS
+        if boot_s == self.boot_s:  # a run repeats a sample that it waits for
+            self._repeat()
+            return
+        if boot_s < self.boot_s:
+            self._clock.restart()
+            self._requests.restart()
+        for frame in self._requests.due(state, time.monotonic()):  # before a run goes on
+            self._send(frame)
+        self.boot_s, self._sample_received_s = boot_s, received_s
+        self._clock.add(boot_s, received_s)
+        self.statistics.samples += 1
+        ahead_ms = state.boot_ms - state.position_ms
+        self.control.take_own_state(state.own, ahead_ms * _MS if abs(ahead_ms) < 500 else 0.0)
+        self._send_message()
+        self.command, self._answer, self._waiting = False, b"", self._lockstep
+        if not self._lockstep:
+            self._read_formation()
+            self._decide(time.monotonic())
+            self._fly(self._clock.at(time.monotonic()))
+
+    def _repeat(self) -> None:
+        """Send again what was sent for a sample: nothing is stepped twice."""
+        if not self._lockstep:
+            return
+        if self._answer:
+            self._send(self._answer)
+        elif self._broadcast:
+            self._links.formation.send(self._broadcast)
+
+    def _send_message(self) -> None:
+        """Broadcast the own state, if the GPS time is known."""
+        base_ms, boot_ms = self.state.base_ms, self.state.boot_ms
+        if base_ms is None or boot_ms is None or base_ms + boot_ms < 0:
+            return
+        message = self.control.message(self.boot_s)
+        fields = self._messages.fields(message, base_ms + boot_ms, self._digests())
+        self._broadcast = self._formation.pack(NAME, **fields)
+        self._links.formation.send(self._broadcast)
+
+    def _digests(self) -> int:
+        return join_digests(self._page, parameter_digest(self.state.parameters))
+
+    def _read_formation(self) -> None:
+        for data, stamp_ns in self._links.formation.receive():
+            received_s = monotonic_of(stamp_ns, time.monotonic())
+            for message in self._formation.feed(data, datagram=True):
+                self._take_formation(message, received_s)
+
+    def _take_formation(self, message: Message, received_s: float) -> None:
+        if self._lockstep and self._links.formation.address.kind == "hub":
+            if message.name == "SYSTEM_TIME":
+                self._mark_ms = int(message.number("time_boot_ms"))
+                return
+            if message.name == "DEBUG_FLOAT_ARRAY":
+                return
+        peer = self._messages.read(message)
+        base_ms = self.state.base_ms
+        if peer is None or peer.row == self.control.row or base_ms is None:
+            return
+        boot_s = self.boot_s if self._lockstep else self._clock.at(received_s)
+        link = self.control.inbox[peer.row]
+        if write_link(link, peer, base_ms, boot_s):
+            self._observe_peer(peer, (peer.timestamp_ms - base_ms) * _MS, boot_s, received_s)
+
+    def _observe_peer(
+        self, peer: PeerMessage, stamp_s: float, boot_s: float, received_s: float
+    ) -> None:
+        content = peer.content
+        offset_s = self._offsets[self._names[peer.row]].add(stamp_s, boot_s)
+        self._peers[peer.row] = PeerObservation(
+            age_s=received_s,  # the time of receipt, until it is observed
+            stamp_s=stamp_s,
+            position_ned=tuple(content.position_ned[0].tolist()),
+            velocity_ned=tuple(content.velocity_ned[0].tolist()),
+            height_m=peer.height_m,
+            digests=peer.digests,
+            offset_s=offset_s,
+        )
+
+    def _answer_waiting(self) -> None:
+        """In lockstep step as soon as all messages of the newest sample have come."""
+        if not self._waiting:
+            return
+        if self._links.formation.address.kind == "hub":
+            complete = self.state.boot_ms is not None and self._mark_ms >= self.state.boot_ms
+        else:
+            inbox = self.control.inbox
+            complete = all(inbox[m]["stamp_s"] >= self.boot_s - 1e-9 for m in self.control.used)
+        if complete:
+            self._waiting = False
+            self._decide(time.monotonic())
+            self._fly(self.boot_s)
+
+    def _decide(self, now_s: float, *, stopping: bool = False) -> None:
+        """Observe, and do what the gate decides."""
+        self._decided_s = now_s
+        engaged = self._decision.command
+        decision = self._decision = self._gate.step(self.observe(now_s, stopping=stopping))
+        if decision.command and not engaged and self.control.row:
+            self.control.restart()
+        if decision.change_mode is not None:
+            self._send(self._requests.change_mode(int(decision.change_mode)))
+        for text in decision.texts:
+            self.say(text)
+
+    def observe(self, now_s: float, *, stopping: bool = False) -> Observation:
+        """Return what is known at a time, s of the monotonic clock."""
+        state, estimate = self.state, self.control.own["estimate"]
+        known = state.has_own_state
+        origin = self.control.plan.origin
+        position = tuple(estimate["position_ned"].tolist()) if known else _UNKNOWN
+        return Observation(
+            now_s=self.boot_s if self._lockstep else now_s,
+            boot_s=self.boot_s if math.isfinite(self.boot_s) else None,
+            ages_s={name: now_s - at for name, at in state.received_s.items()},
+            mode=state.mode,
+            armed=state.armed,
+            ekf_flags=state.ekf_flags,
+            ekf_variances=state.ekf_variances,
+            fix_type=state.fix_type,
+            airspeed_mps=float(estimate["equivalent_airspeed"]) if known else math.nan,
+            position_ned=position,
+            velocity_ned=tuple(estimate["velocity_ned"].tolist()) if known else _UNKNOWN,
+            height_m=origin.elevation_m - position[2],
+            base_ms=state.base_ms,
+            sticks_us=state.sticks_us,
+            parameters=state.parameters,
+            digests=self._digests(),
+            peers=self._observed_peers(now_s),
+            stopping=stopping or self.error is not None,
+        )
+
+    def _observed_peers(self, now_s: float) -> Mapping[str, PeerObservation]:
+        names = self._names
+        return {
+            names[m]: _with_age(self._peers[m], now_s)
+            for m in self.control.used
+            if m in self._peers
+        }
+
+    def say(self, text: CompanionText) -> None:
+        """Send a text to the ground station, and to the listeners."""
+        for each in self._texts.make_text(text.severity, text.text):
+            self._send(self._autopilot.pack(each.name, **each.fields))
+        for listener in self._listeners:
+            listener.text(max(self.boot_s, 0.0), text)
+
+    def _fly(self, now: float) -> None:
+        """Step law and middle loop at a time, s since boot, and send their command."""
+        control = self.control
+        if self._decision.command and control.row and self.error is None:
+            self._command(now)
+        for listener in self._listeners:
+            listener.sample(self)
+            listener.alive()
+
+    def _command(self, now: float) -> None:
+        control, statistics = self.control, self.statistics
+        begun_s = time.perf_counter()
+        try:
+            control.step(now)
+        except Exception as error:  # of a law in Python: the aircraft is left in order
+            self.error = error
+            self.say(CompanionText(Severity.ERROR, f"formation: the law failed: {error}"))
+            return
+        statistics.step.add(time.perf_counter() - begun_s)
+        target = control.target()
+        self._answer = self._autopilot.pack(
+            "SET_ATTITUDE_TARGET",
+            time_boot_ms=self.state.boot_ms or 0,
+            type_mask=IGNORED_RATES,
+            q=target["q"].tolist(),
+            body_roll_rate=0.0,
+            body_pitch_rate=0.0,
+            body_yaw_rate=0.0,
+            thrust=float(target["thrust"]),
+            **self._target,
+        )
+        self._send(self._answer)
+        self.command = True
+        statistics.add_command(time.monotonic() - self._sample_received_s)
+        for m in control.used:
+            link = control.inbox[m]
+            statistics.add_age(self._names[m], now - float(link["stamp_s"]))
+
+    def _advance_signers(self) -> None:
+        """Let signatures have at least the GPS time: many computers have no clock of their own."""
+        base_ms, boot_ms = self.state.base_ms, self.state.boot_ms
+        if base_ms is None or boot_ms is None:
+            return
+        time_10us = signing_time((base_ms + boot_ms) * _MS)
+        for signer in (self._links.autopilot_signer, self._links.formation_signer):
+            if signer is not None:
+                signer.advance(time_10us)
+
+
+_UNKNOWN = (math.nan, math.nan, math.nan)
+
+
+def _with_age(peer: PeerObservation, now_s: float) -> PeerObservation:
+    return PeerObservation(
+        age_s=now_s - peer.age_s,
+        stamp_s=peer.stamp_s,
+        position_ned=peer.position_ned,
+        velocity_ned=peer.velocity_ned,
+        height_m=peer.height_m,
+        digests=peer.digests,
+        offset_s=peer.offset_s,
+    )
