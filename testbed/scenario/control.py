@@ -14,6 +14,7 @@ from pydantic import (
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticCustomError
 
+from testbed.scenario.companion_flight import CompanionFlight
 from testbed.scenario.fields import (
     MAX_LOOP_GAIN,
     MAX_RATE_PER_S,
@@ -307,6 +308,10 @@ class Companion(Section):
     command_latency_s: Latency = Field(
         0.0,
         description="Time from a control step to the arrival of its command at the autopilot, s.",
+    )
+    flight: CompanionFlight = Field(
+        CompanionFlight(),
+        description="Bounds of `testbed companion` on an aircraft; without effect in a run.",
     )
 
 

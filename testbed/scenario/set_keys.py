@@ -23,11 +23,12 @@ from testbed.scenario.sections import Limits, Rates, Sections
 from testbed.scenario.yaml_io import Node, walk
 
 Keys = tuple[str, ...]
-# The files, names and exit codes of every run have these.
+# The files, names and exit codes of every run have these, or no run at all.
 _OF_EVERY_RUN: tuple[Keys, ...] = (
     ("expect",),
     ("log",),
     ("limits", "on_violation"),
+    ("controller", "companion", "flight"),  # of the same page on aircraft
     *(
         ("scenario", key)
         for key in (

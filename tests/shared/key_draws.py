@@ -17,8 +17,8 @@ from testbed.scenario.set_keys import SetKeys
 FLOWN_S = 3.0
 LARGEST = 20  # aircraft; the others have the same keys
 SHARES = (1.0, 0.5, 0.1, 0.01, 1e-3)  # of the way to a bound, the first that can be flown
-# sections that the files, names and exit code of every run have
-LEFT_OUT = ("log", "expect", "scenario")
+# sections that the files, names and exit code of every run have, or aircraft alone
+LEFT_OUT = (("log",), ("expect",), ("scenario",), ("controller", "companion", "flight"))
 # maps that name aircraft; an empty one gets the first follower
 BY_NAME = ("agents", "clocks", "broadcast", "links")
 
@@ -77,7 +77,7 @@ def leaves(node, data, path, names):
                 if all(tags[key] in consts[key] for key in tags):
                     chosen = each
         for key, child in chosen["properties"].items():
-            if key in ("name", "kind", "preset", "example") or (not path and key in LEFT_OUT):
+            if key in ("name", "kind", "preset", "example") or (*path, key) in LEFT_OUT:
                 continue
             value = data.get(key) if isinstance(data, dict) else None
             yield from leaves(child, value, (*path, key), names)
