@@ -42,6 +42,7 @@ PANELS: Final[Mapping[str, Mapping[str, str]]] = {
         "frequency-response": "frequency_response",
         "network": "network",
         "link": "link",
+        "companion": "companion",
         "air": "air",
         "schema": "validate",
     },
@@ -97,7 +98,7 @@ _OPTION_PANELS: Final[Mapping[str, Mapping[str, tuple[str, ...]]]] = {
 }
 _WITH_EXIT_CODES: Final = (
     "demo", "run", "assess", "view", "shot", "check", "compare", "sweep", "tune", "respond",
-    "arduplane", "link",
+    "arduplane", "link", "companion",
 )  # fmt: skip
 
 

@@ -1,8 +1,8 @@
 """The loop of a companion: own state in, messages of others in, message and command out.
 
-One `select` waits for the autopilot and the formation; there is no thread. A sample of the own state
-ends with ATTITUDE: it is broadcast, and while the aircraft is engaged law and middle loop step once
-for it and their command is sent.
+One `select` waits for the autopilot and the formation; there is no thread. A sample of the own
+state ends with ATTITUDE: it is broadcast, and while the aircraft is engaged law and middle loop
+step once for it and their command is sent.
 """
 
 from __future__ import annotations
@@ -10,12 +10,12 @@ from __future__ import annotations
 import math
 import select
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 from testbed.companion.autopilot_requests import AutopilotRequests
-from testbed.companion.autopilot_state import ATTITUDE, OWN_STATE_MESSAGES, AutopilotState
+from testbed.companion.autopilot_state import OWN_STATE_MESSAGES, AutopilotState
 from testbed.companion.boot_clock import BootClock, monotonic_of
 from testbed.companion.clock_offset import ClockOffset
 from testbed.companion.engagement import CompanionText, Decision, EngagementState
@@ -58,11 +58,27 @@ class Gate(Protocol):
 class AtOnce:
     """Command from the first sample on, whatever is observed: of a simulated aircraft."""
 
-    may_end = True
+    @property
+    def may_end(self) -> bool:
+        """Whether the process may end."""
+        return True
 
     def step(self, seen: Observation) -> Decision:
         """Decide after an observation."""
         return Decision(EngagementState.ENGAGED, True, None, (), ())
+
+
+class BroadcastOnly:
+    """Never command: of a leader, whose state is broadcast."""
+
+    @property
+    def may_end(self) -> bool:
+        """Whether the process may end."""
+        return True
+
+    def step(self, seen: Observation) -> Decision:
+        """Decide after an observation."""
+        return Decision(EngagementState.WAITING, False, None, (), ())
 
 
 class Listener(Protocol):
@@ -150,6 +166,7 @@ class CompanionLoop:
         self._waiting = False  # in lockstep: for the messages of the newest sample
         self._mark_ms = -1  # in lockstep: all messages up to this time have come
         self._receipt_s: float | None = None  # that the hub says of the next message
+        self._early: dict[int, tuple[PeerMessage, float]] = {}
         self._peers: dict[int, PeerObservation] = {}
         self._offsets = {name: ClockOffset() for name in names}
         self._decided_s = -math.inf
@@ -230,6 +247,8 @@ class CompanionLoop:
         self.statistics.samples += 1
         ahead_ms = state.boot_ms - state.position_ms
         self.control.take_own_state(state.own, ahead_ms * _MS if abs(ahead_ms) < 500 else 0.0)
+        while self._early and state.base_ms is not None:
+            self._take_peer(*self._early.popitem()[1])
         self._send_message()
         self.command, self._answer, self._waiting = False, b"", self._lockstep
         if not self._lockstep:
@@ -273,8 +292,13 @@ class CompanionLoop:
             if message.name == "DEBUG_FLOAT_ARRAY":
                 return
         peer = self._messages.read(message)
+        if peer is not None and peer.row != self.control.row:
+            self._take_peer(peer, received_s)
+
+    def _take_peer(self, peer: PeerMessage, received_s: float) -> None:
         base_ms = self.state.base_ms
-        if peer is None or peer.row == self.control.row or base_ms is None:
+        if base_ms is None:  # as of a message that was faster than the own first sample
+            self._early[peer.row] = peer, received_s
             return
         boot_s = self.boot_s if self._lockstep else self._clock.at(received_s)
         link = self.control.inbox[peer.row]

@@ -1,4 +1,4 @@
-"""Addresses and sockets of the formation: a multicast group, one address for each aircraft, a hub."""
+"""Addresses and sockets of the formation: a multicast group, an address for each, or a hub."""
 
 from __future__ import annotations
 

@@ -99,7 +99,7 @@ def _is_plausible(content: Broadcast) -> bool:
         "euler": math.tau,
     }
     # a comparison with NaN is false
-    return all(bool((np.abs(getattr(content, name)) <= most).all()) for name, most in largest.items())
+    return all((np.abs(getattr(content, name)) <= most).all() for name, most in largest.items())
 
 
 def write_link(link: Record, message: PeerMessage, base_ms: int, received_s: float) -> bool:
