@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 from collections.abc import Mapping
+from contextlib import ExitStack
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -30,9 +31,12 @@ from testbed.cli.output import (
 from testbed.core.errors import ExternalProgramLost
 
 if TYPE_CHECKING:
-    from testbed.companion.control_loop import CompanionLoop
+    from testbed.companion.control_loop import CompanionLoop, Listener
     from testbed.companion.engagement import CompanionText
+    from testbed.companion.flight_record import FlightRecord
+    from testbed.companion.follower_control import FollowerControl
     from testbed.companion.start import CompanionOptions
+    from testbed.scenario import Scenario
 
 NEVER_FLOWN = (
     "never flown on an aircraft, on a Raspberry Pi or against a real ArduPlane: safety pilot and "
@@ -163,12 +167,17 @@ def companion_command(
     )
     options.check()
     messages = message_console()
-    with stop_on_signals() as stop:
+    with stop_on_signals() as stop, ExitStack() as closing:
         with error_places(scenario, overrides):
             control = FollowerControl(loaded, name)
         for line in _begin_lines(name, options):
             messages.write_line(line, "yellow" if line.startswith("warning") else "")
-        listeners = [_Printer(messages)]
+        supervised = _Supervised()
+        closing.callback(supervised.close)
+        listeners: list[Listener] = [_Printer(messages), supervised]
+        record = _open_record(loaded, control, out, messages) if write_log else None
+        if record is not None:
+            listeners.append(record)
         lost: Exception | None = None
         folder = Path(scenario).resolve().parent
         with open_companion(loaded, folder, control, options, listeners) as loop:
@@ -178,7 +187,9 @@ def companion_command(
                 loop.run(stop)
             except ExternalProgramLost as error:
                 lost = error
-    _finish(loop, json, quiet=quiet)
+        if record is not None:
+            record.close(loop.statistics.summary())
+    _finish(loop, record, json, quiet=quiet)
     if lost is not None:
         raise lost
     if loop.error is not None:
@@ -222,11 +233,51 @@ class _Printer:
         """Print a text."""
         self._console.write_line(f"{boot_s:8.2f} s  {text.text}")
 
-    def alive(self) -> None:
-        """Note that the loop runs."""
+    def alive(self, now_s: float) -> None:
+        """Note that the loop runs; nothing is printed."""
 
 
-def _finish(loop: CompanionLoop, json: Path | None, *, quiet: bool) -> None:
+class _Supervised:
+    """Tell a service manager, if there is one, that the companion runs."""
+
+    def __init__(self) -> None:
+        from testbed.companion.watchdog import Watchdog
+
+        self._watchdog, self._is_ready = Watchdog(), False
+
+    def sample(self, loop: CompanionLoop) -> None:
+        """Tell at the first sample that the companion is ready."""
+        if not self._is_ready:
+            self._is_ready = True
+            self._watchdog.ready()
+
+    def text(self, boot_s: float, text: CompanionText) -> None:
+        """Tell the newest text as the state of the service."""
+        self._watchdog.status(text.text)
+
+    def alive(self, now_s: float) -> None:
+        """Tell that the loop runs."""
+        if self._is_ready:
+            self._watchdog.alive(now_s)
+
+    def close(self) -> None:
+        """Tell that it ends."""
+        self._watchdog.close()
+
+
+def _open_record(
+    scenario: Scenario, control: FollowerControl, out: Path | None, messages: PipeSafeConsole
+) -> FlightRecord:
+    from testbed.companion.flight_record import FlightRecord
+
+    return FlightRecord(
+        scenario, control, out, lambda text: messages.write_line(f"warning: {text}", "yellow")
+    )
+
+
+def _finish(
+    loop: CompanionLoop, record: FlightRecord | None, json: Path | None, *, quiet: bool
+) -> None:
     """Write the statistics, and print them."""
     document = loop.statistics.summary()
     write_json_output(json, document)
@@ -235,6 +286,8 @@ def _finish(loop: CompanionLoop, json: Path | None, *, quiet: bool) -> None:
     console = result_console(json)
     for line in summary_lines(document):
         console.write_line(f" {line}")
+    if record is not None:
+        console.write_line(f" log {record.directory}")
 
 
 def summary_lines(document: Mapping[str, Any]) -> list[str]:

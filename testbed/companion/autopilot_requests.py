@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 
 from testbed.companion.autopilot_state import EARLIER_NAMES, AutopilotState
 from testbed.mavlink.codec import Codec, constant
 
-AGAIN_S = 2.0  # between requests for a message that does not come as often as it was asked for
+AGAIN_S = 5.0  # after which a message that has not come as often as asked for is asked for again
 PARAMETER_S, PARAMETER_TRIES = 0.2, 5  # between requests, and for one that is not answered
 HEARTBEAT_S = 1.0
-_LATE = 2.5  # periods without a message, after which it is asked for again
+_ENOUGH = 0.7  # of the messages that were asked for
 _CUSTOM_MODE = 1  # MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
 # Hz, of what is known about mode, health and time
 STATUS_RATES = {
@@ -18,7 +19,7 @@ STATUS_RATES = {
     "EKF_STATUS_REPORT": 2.0,
     "GPS_RAW_INT": 2.0,
     "RC_CHANNELS": 5.0,
-    "HEARTBEAT": 1.0,
+    "HEARTBEAT": 4.0,  # with the mode; some autopilots send it once a second all the same
 }
 
 
@@ -44,7 +45,7 @@ class AutopilotRequests:
         """See the class."""
         self._codec, self._target = codec, {"target_system": system, "target_component": 1}
         self._rates = {**STATUS_RATES, **dict.fromkeys(streams, rate_hz)}
-        self._asked_s: dict[str, float] = {}
+        self._looked: dict[str, tuple[float, int]] = {}  # when, and how many had come
         self._tries = dict.fromkeys(parameters, 0)
         self._parameter_s = self._heartbeat_s = -1e9
 
@@ -62,10 +63,12 @@ class AutopilotRequests:
                 mavlink_version=3,
             )
         for name, rate_hz in self._rates.items():
-            asked_s = self._asked_s.get(name)
-            age_s = now_s - state.received_s.get(name, -1e9)
-            if asked_s is None or (age_s > _LATE / rate_hz and now_s - asked_s >= AGAIN_S):
-                self._asked_s[name] = now_s
+            asked_s, count = self._looked.get(name, (-math.inf, 0))
+            if now_s - asked_s < AGAIN_S:
+                continue
+            now_count = state.counts.get(name, 0)
+            self._looked[name] = now_s, now_count
+            if now_count - count < _ENOUGH * rate_hz * (now_s - asked_s):
                 yield self._ask_stream(name, rate_hz)
         if now_s - self._parameter_s >= PARAMETER_S and (name := self._missing(state)):
             self._parameter_s = now_s
@@ -79,7 +82,7 @@ class AutopilotRequests:
 
     def restart(self) -> None:
         """Ask for everything again, as of an autopilot that was started again."""
-        self._asked_s.clear()
+        self._looked.clear()
         self._tries = dict.fromkeys(self._tries, 0)
 
     def change_mode(self, mode: int) -> bytes:

@@ -48,6 +48,7 @@ class AutopilotState:
         sticks_us: of RC_CHANNELS.
         parameters: by ArduPlane's present names.
         received_s: when each message came last, by its name; s of the monotonic clock.
+        counts: of the messages that have come, by name.
         other_system: system id of an autopilot that is not the own one; 0: none was heard.
     """
 
@@ -65,6 +66,7 @@ class AutopilotState:
         self.sticks_us: tuple[float, float, float] | None = None
         self.parameters: dict[str, float] = {}
         self.received_s: dict[str, float] = {}
+        self.counts: dict[str, int] = {}
         self.other_system = 0
         self._take: Mapping[str, Callable[[Any], None]] = {
             ATTITUDE: self._attitude,
@@ -106,6 +108,7 @@ class AutopilotState:
             return False
         take(message.fields)
         self.received_s[message.name] = received_s
+        self.counts[message.name] = self.counts.get(message.name, 0) + 1
         return message.name == ATTITUDE
 
     def _attitude(self, fields: Mapping[str, Any]) -> None:

@@ -90,8 +90,8 @@ class Listener(Protocol):
     def text(self, boot_s: float, text: CompanionText) -> None:
         """Take a text for the pilot."""
 
-    def alive(self) -> None:
-        """Note that the loop runs and has a fresh own state."""
+    def alive(self, now_s: float) -> None:
+        """Note that the loop runs, at a time of the monotonic clock, s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,6 +204,8 @@ class CompanionLoop:
                 for frame in self._requests.due(self.state, now_s):
                     self._send(frame)
             self._answer_waiting()
+            for listener in self._listeners:
+                listener.alive(now_s)
             stopping = stop()
             if stopping or now_s - self._decided_s >= DECIDE_S:
                 self._decide(now_s, stopping=stopping)
@@ -395,7 +397,6 @@ class CompanionLoop:
             self._command(now)
         for listener in self._listeners:
             listener.sample(self)
-            listener.alive()
 
     def _command(self, now: float) -> None:
         control, statistics = self.control, self.statistics

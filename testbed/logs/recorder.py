@@ -71,15 +71,22 @@ class McapRecorder(BlockObserver):
         path: The file, which must not exist.
         additions: Further messages in order of time, written with the samples of these ticks.
         live: A flight, which may be killed; False: a copy of a log, which needs no tail.
+        flush_s: Wall time, at most, between writes of chunks or the tail, which encode all samples
+            since the last chunk again; None: `FLUSH_S`.
 
     Raises:
         LogError: From all methods: the file cannot be written, or was removed or moved.
     """
 
     def __init__(
-        self, path: Path, additions: Iterable[Addition] = (), *, live: bool = True
+        self,
+        path: Path,
+        additions: Iterable[Addition] = (),
+        *,
+        live: bool = True,
+        flush_s: float | None = None,
     ) -> None:
-        self.path, self._live = path, live
+        self.path, self._live, self._own_flush_s = path, live, flush_s
         self._additions = iter(additions)
         self._next_addition = next(self._additions, None)
         self._added: dict[str, LogChannel] = {}  # by topic
@@ -123,7 +130,7 @@ class McapRecorder(BlockObserver):
         """Copy a sample; write the chunk when it is full, and the tail when that is old."""
         with self._writing():
             super().observe(sample)
-            if self._live and time.monotonic() - self._flushed > FLUSH_S:
+            if self._live and time.monotonic() - self._flushed > self._flush_s:
                 self._write_tail()
 
     def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:
@@ -155,17 +162,21 @@ class McapRecorder(BlockObserver):
                 with suppress(OSError):  # read by nothing, beside a finished log
                     tail_path(self.path).unlink(missing_ok=True)
 
+    @property
+    def _flush_s(self) -> float:
+        return FLUSH_S if self._own_flush_s is None else self._own_flush_s
+
     def _flush_loop(self) -> None:
         """Write the tail where no sample arrives in time; runs in a thread."""
-        remaining = FLUSH_S
+        remaining = self._flush_s
         while not self._closed.wait(max(remaining, _MIN_SLEEP_S)):
             with self._lock:
                 if self._file is None:
                     return
-                remaining = self._flushed + FLUSH_S - time.monotonic()
+                remaining = self._flushed + self._flush_s - time.monotonic()
                 if remaining > 0.0:
                     continue
-                remaining = FLUSH_S
+                remaining = self._flush_s
                 try:
                     self._write_tail()
                 except Exception as error:

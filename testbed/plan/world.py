@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import platform
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -27,7 +26,6 @@ from testbed.core.records import (
 )
 from testbed.core.samples import LastSample
 from testbed.core.start_time import start_unix_ns
-from testbed.core.version import __version__
 from testbed.flight.arduplane_vehicles import ArduPlaneVehicles
 from testbed.flight.control import BuiltControl, Control, LawSurroundings
 from testbed.flight.faults import FaultManager, no_faults
@@ -48,7 +46,7 @@ from testbed.plan.air import (
     temperature_warnings,
 )
 from testbed.plan.begin import make_begin
-from testbed.plan.clock import build_clock
+from testbed.plan.clock import build_clock, versions_without_jsbsim
 from testbed.plan.command_sessions import build_array_commands, build_external_control
 from testbed.plan.control import build_companions, build_control
 from testbed.plan.faults import build_faults, build_membership, fault_warnings
@@ -79,7 +77,6 @@ from testbed.plan.warnings import (
     unusual_warnings,
 )
 from testbed.scenario import (
-    SCHEMA_VERSION,
     Scenario,
     ScenarioError,
     ScenarioText,
@@ -410,13 +407,9 @@ def build_single(flight: SingleAircraft) -> World:
 
 def versions() -> dict[str, str]:
     """Return the versions that determine the numbers of a run beside its scenario."""
-    return {
-        "testbed": __version__,
-        "schema": str(SCHEMA_VERSION),
-        "jsbsim": JSBSIM_VERSION,
-        "numpy": np.__version__,
-        "python": platform.python_version(),
-    }
+    own = versions_without_jsbsim()
+    first = {name: own[name] for name in ("testbed", "schema")}
+    return {**first, "jsbsim": JSBSIM_VERSION, **own}
 
 
 def _lowest_heights(fleet: Fleet, models: FlightModels | None) -> Array:

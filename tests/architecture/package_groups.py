@@ -78,7 +78,7 @@ GROUPS = (
             "plan": f"{OF_A_FLIGHT} compiled commands flight fmi",
             "runs": "commands flight logs mavlink metrics plan scenario vehicle",
             "pool": "autopilot mavlink metrics plan runs scenario",
-            "companion": "airframes flight mavlink plan scenario",
+            "companion": "airframes flight formation link logs mavlink metrics plan pool scenario",
         },
         "core scenario models links record",
     ),
