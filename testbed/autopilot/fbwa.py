@@ -175,7 +175,7 @@ def fly_by_wire_a(
         a, m = aircraft[rows[k]], memory[k]
         frozen = a.faults.frozen
         if not frozen or m.period == 0:
-            new = fbwa(gains[k], m, delay_line[k], a.estimate, a.command)
+            new = fbwa(gains[k], m, delay_line[k], a.estimate, a.command, a.guided)
             if not frozen:
                 held = m.surfaces
                 held.aileron, held.elevator, held.rudder, held.throttle = new
@@ -185,7 +185,9 @@ def fly_by_wire_a(
 
 
 @kernel
-def fbwa(g: Record, m: Record, delay_line: Array, estimate: Record, command: Record) -> Values:
+def fbwa(
+    g: Record, m: Record, delay_line: Array, estimate: Record, command: Record, guided: bool
+) -> Values:
     """Compute one period of fly-by-wire A for one aircraft.
 
     Args:
@@ -194,6 +196,7 @@ def fbwa(g: Record, m: Record, delay_line: Array, estimate: Record, command: Rec
         delay_line: (P, 3); written.
         estimate: record of MOTION.
         command: record of COMMAND.
+        guided: it is an attitude target in GUIDED, which lowers the nose at no throttle.
 
     Returns:
         Aileron, elevator and rudder, -1..1, and throttle, 0..1.
@@ -220,7 +223,7 @@ def fbwa(g: Record, m: Record, delay_line: Array, estimate: Record, command: Rec
     load = g.stall_speed / m.smoothed_airspeed
     limit = max(acos(min(load * load, 1.0)), LEAST_BANK_LIMIT)
     # below the trim throttle the nose is lowered in proportion
-    lowered = g.pitch_down * max(g.throttle_trim - throttle, 0.0)
+    lowered = 0.0 if guided else g.pitch_down * max(g.throttle_trim - throttle, 0.0)
     pitch_demand = max(pitch_demand - lowered, g.pitch_low * abs(cos_roll))
     # the pitch rate of a level turn, g/V tan φ sin φ cos θ; tan φ sin φ is 1/cos φ − cos φ
     cos_bank = max(cos_roll, COS_STEEPEST)

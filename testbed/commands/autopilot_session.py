@@ -130,6 +130,11 @@ class AutopilotSession(VehicleControl):
             command = self._guided
         return command if self.armed else command._replace(throttle=0.0)
 
+    @property
+    def guided(self) -> bool:
+        """See `VehicleControl`."""
+        return self.mode is FlightMode.GUIDED and self._is_manual and not self.failsafe
+
     def guide(self, now: float, estimate: VehicleState) -> None:
         """Step the failsafe and the active guidance, once per control period.
 

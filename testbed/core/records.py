@@ -451,6 +451,7 @@ AIRCRAFT = np.dtype(
         ("air", AIR),
         ("command", COMMAND),  # given to the autopilot
         ("control", COMMAND),  # computed by the formation law or the leader's guidance
+        ("guided", "?"),  # `command` is an attitude target in GUIDED, not a stick input in FBWA
         ("surfaces", ACTUATORS),
         ("faults", FAULTS),
         ("stopped", "?"),  # its model has failed, or is stepped no more

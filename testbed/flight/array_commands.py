@@ -93,6 +93,7 @@ def _override(commanded: BoolArray, held: Records, aircraft: Records) -> None:
     for i in range(len(aircraft)):
         if commanded[i]:
             copy_command(held[i], aircraft[i].command)
+            aircraft[i].guided = False
 
 
 @entry

@@ -6,7 +6,7 @@ some time later ([HBH23] section 7: a Raspberry Pi beside a Pixhawk, joined by U
 
 from __future__ import annotations
 
-from math import ceil, floor
+from math import ceil, floor, isnan
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from testbed.core.compile import entry
 from testbed.core.copies import copy_command, copy_motion
 from testbed.core.records import AIRCRAFT, MOTION, Array, Indices, Records, allocate
 from testbed.flight.schedule import Clock
+from testbed.flight.vehicles import Steps
 
 _ROUNDING = 1e-6  # of a period, and s
 
@@ -27,10 +28,18 @@ class Companions:
         store_states: takes the estimates of all autopilots at one of their ticks.
         receive_states: writes the states that the companions have.
         deliver_commands: writes the commands that the autopilots have.
+        sense_steps: at each tick of the control, before messages.
+        before_control: at each control step of a group of followers.
+        broadcast_aircraft: (N,) of AIRCRAFT, whose `estimate` is broadcast.
     """
 
     def __init__(
-        self, aircraft: Records, clock: Clock, state_latency_s: float, command_latency_s: float
+        self,
+        aircraft: Records,
+        clock: Clock,
+        state_latency_s: float,
+        command_latency_s: float,
+        trims: Array | None = None,
     ) -> None:
         """Start with companions that have received nothing.
 
@@ -39,6 +48,8 @@ class Companions:
             clock: of the run.
             state_latency_s: from an autopilot's estimate to its arrival, s.
             command_latency_s: from a control step to the command's arrival, s.
+            trims: (N, 3) pitch, roll, rad, and throttle until the first command arrives, of
+                autopilots in GUIDED; None: in FBWA they have the first command at once.
         """
         n = len(aircraft)
         self.aircraft = allocate(AIRCRAFT, n)
@@ -51,7 +62,11 @@ class Companions:
         received = *stored, state_latency_s, self.aircraft
         self.store_states = Call(_store_states, *stored, NOW)
         self.receive_states = Call(_receive_states, *received, NOW)
-        self.deliver_commands = Call(_deliver_commands, *queued, command_latency_s, NOW)
+        first = np.full((n, 3), np.nan) if trims is None else trims
+        self.deliver_commands = Call(_deliver_commands, *queued, command_latency_s, first, NOW)
+        self.sense_steps: Steps = ()
+        self.before_control: Steps = (self.receive_states,)
+        self.broadcast_aircraft = aircraft
         self._queued = queued
 
     def send_commands(self, rows: Indices) -> Call:
@@ -116,27 +131,34 @@ def _deliver_commands(
     times_s: Array,
     newest: Indices,
     latency_s: float,
+    first: Array,
     now: float,
 ) -> None:
     """Write `command` of all aircraft (N,): of followers the newest that has arrived.
 
-    Before the first arrival it is the first one that was sent. The leader's guidance is a part of
-    its autopilot.
+    Before the first arrival it is that of `first` (N, 3), with which autopilots are in GUIDED, or
+    where that is NaN the first one that was sent. The leader's guidance is a part of its autopilot.
     """
     queued = commands.shape[1]
     for i in range(len(aircraft)):
         a = aircraft[i]
         command = a.command
         copy_command(a.control, command)
+        a.guided = i > 0 and not isnan(first[i, 0])
+        if a.guided:
+            command.pitch, command.roll, command.throttle = first[i]
         if i == 0 or newest[i] < 0:
             continue
-        k = newest[i]
+        k, arrived = newest[i], False
         for back in range(queued):
             j = (newest[i] - back) % queued
             if times_s[i, j] == -np.inf:
                 break
             k = j
             if times_s[i, j] + latency_s <= now + _ROUNDING:
+                arrived = True
                 break
+        if a.guided and not arrived:
+            continue
         command.pitch, command.roll = commands[i, k, 0], commands[i, k, 1]
         command.throttle = commands[i, k, 2]

@@ -226,7 +226,7 @@ class Control:
             )
         if companions is None:
             return steps
-        return companions.receive_states, *steps, companions.send_commands(group.rows)
+        return *companions.before_control, *steps, companions.send_commands(group.rows)
 
     def compiled_law_steps(self, group: ControlGroup, law: CompiledLaw) -> Steps:
         """Return the steps of a group with a user's kernel, which may be another than its own."""

@@ -45,6 +45,10 @@ class CommandSession(Protocol):
     def command(self) -> FbwaCommand[float] | None:
         """The current command; None: the scenario's own controller commands this follower."""
 
+    @property
+    def guided(self) -> bool:
+        """Whether the current command is an attitude target in GUIDED."""
+
     def guide(self, now: float, estimate: VehicleState) -> None:
         """Step the guidance at a time, s, from the estimates of N aircraft."""
 
@@ -120,11 +124,11 @@ class ExternalControl:
         return (write,)
 
     def override_commands(self, aircraft: Records) -> None:
-        """Write `command` of the aircraft that their sessions control."""
-        commands = aircraft["command"]
+        """Write `command` and `guided` of the aircraft that their sessions control."""
+        commands, guided = aircraft["command"], aircraft["guided"]
         for row, session in self._sessions:
             if (command := session.command) is not None:
-                commands[row] = command
+                commands[row], guided[row] = command, session.guided
 
     def mask_diagnostics(self, followers: Records) -> Records:
         """Clear the limiter flags and saturations of followers that the law does not control.

@@ -86,11 +86,15 @@ class FormationStages:
             call = self._parts.companions.store_states
             name = "send states to the companions"
             yield Stage(Part.SENSE, StageRate.AUTOPILOT, name, call=call)
+            name, steps = "receive states by MAVLink", self._parts.companions.sense_steps
+            yield from make_stages(Part.SENSE, StageRate.CONTROL, name, steps)
 
     def law_stages(self) -> Iterator[Stage]:
         """Yield messages, and the law with its middle loop."""
         parts, part, radio = self._parts, Part.CONTROL, self._parts.radio
-        messages = self._world.aircraft, radio.messages, self._planned_s, radio.sent_s
+        companions, aircraft = parts.companions, self._world.aircraft
+        known = aircraft if companions is None else companions.broadcast_aircraft
+        messages = known, radio.messages, self._planned_s, radio.sent_s
         call = Call(write_messages, *messages, NOW)
         yield Stage(part, StageRate.BROADCAST, "write messages", call=call)
         send, then = radio.send_stage(self._truth)

@@ -233,7 +233,8 @@ def _finite3(values: Vector) -> Values:
 @kernel
 def _whole(value: float, largest: int) -> int:
     """Round to an integer of a field, half to even, and clamp to its range."""
-    return np.int64(np.rint(min(max(value, -largest - 1.0), largest)))
+    rounded: int = np.int64(np.rint(min(max(value, -largest - 1.0), largest)))
+    return rounded
 
 
 @kernel

@@ -22,6 +22,7 @@ def copy_control(aircraft: Records) -> None:
     """Copy `control` of all aircraft (N,) to `command`: no external program commands them."""
     for i in range(len(aircraft)):
         copy_command(aircraft[i].control, aircraft[i].command)
+        aircraft[i].guided = False
 
 
 @entry

@@ -262,7 +262,7 @@ def _check_linearisable(world: World) -> None:
     elif formation.companions is not None:
         problem, remedy = (
             "companion computers hold commands back",
-            "write controller.companion: {state_latency_s: 0, command_latency_s: 0}",
+            "write controller.companion: {state_latency_s: 0, command_latency_s: 0, link: direct}",
         )
     elif clock.broadcast != clock.control or clock.transmit_schedules:
         problem = "messages are not sent at each control step"

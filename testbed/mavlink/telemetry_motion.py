@@ -238,7 +238,12 @@ def _target_fields(context: VehicleContext, snapshot: TelemetrySnapshot) -> Fiel
 
 
 def _pitch_down_deg(context: VehicleContext, snapshot: TelemetrySnapshot) -> float:
-    """Pitch, deg, that STAB_PITCH_DOWN subtracts from the command before ArduPlane reports it."""
+    """Pitch, deg, that STAB_PITCH_DOWN subtracts from the command before ArduPlane reports it.
+
+    Of an attitude target in GUIDED it subtracts nothing.
+    """
+    if context.control.guided:
+        return 0.0
     parameters = context.parameters()
     down, cruise = parameters.get("STAB_PITCH_DOWN", 0.0), parameters.get("TRIM_THROTTLE", 0.0)
     throttle = snapshot.surfaces[context.row][2]

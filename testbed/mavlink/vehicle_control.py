@@ -97,6 +97,11 @@ class VehicleControl:
         return 0
 
     @property
+    def guided(self) -> bool:
+        """Whether it flies an attitude target in GUIDED."""
+        return False
+
+    @property
     def target(self) -> NavigationTarget | None:
         """The waypoint or circle that guidance flies to."""
         return None

@@ -16,7 +16,6 @@ from testbed.core.reads import Deferred, current, deferred, derive, unrecorded
 from testbed.core.records import Array, FbwaCommand, Records, UnicycleCommand, allocate
 from testbed.core.speed_model import OwnSpeedModel, speed_model_records
 from testbed.core.speed_model import make_own as make_speed_model
-from testbed.flight.companion import Companions
 from testbed.flight.control import BuiltControl, ControlGroup, law_name
 from testbed.flight.schedule import Clock
 from testbed.formation import barrier, control_function
@@ -32,7 +31,7 @@ from testbed.formation.separation_filter import SEPARATION
 from testbed.plan.fleet import AgentParameters, FormationPlan, PlannedFollower
 from testbed.plan.user_code import build_function, build_law, check_law
 from testbed.scenario import MiddleLoopGains as Profile
-from testbed.scenario.control import BUILT_IN, Companion, Controller
+from testbed.scenario.control import BUILT_IN, Controller
 from testbed.scenario.middle_loop import Estimators
 
 _ACCELERATION_SOURCES = {
@@ -556,10 +555,3 @@ def build_loops(
             airspeed_error_as_printed=controller.throttle_error == "airspeed",
         )
     return loops, reads
-
-
-def build_companions(each: Companion, clock: Clock, aircraft: Records) -> Companions | None:
-    """Build the companion computers of a scenario; None where they have no latency."""
-    if not (each.state_latency_s or each.command_latency_s):
-        return None
-    return Companions(aircraft, clock, each.state_latency_s, each.command_latency_s)

@@ -48,7 +48,8 @@ from testbed.plan.air import (
 from testbed.plan.begin import make_begin
 from testbed.plan.clock import build_clock, versions_without_jsbsim
 from testbed.plan.command_sessions import build_array_commands, build_external_control
-from testbed.plan.control import build_companions, build_control
+from testbed.plan.companions import build_companions
+from testbed.plan.control import build_control
 from testbed.plan.faults import build_faults, build_membership, fault_warnings
 from testbed.plan.fleet import Fleet, FormationPlan
 from testbed.plan.leader import build_leader
@@ -239,7 +240,7 @@ def _build(
         other_radio, _ = build_radio(names, scenario.network, weights, origin, other, payload=sent)
         return other_air, _build_estimators(scenario, other, faults), other_radio
 
-    companions = build_companions(scenario.controller.companion, clock, aircraft)
+    companions = build_companions(scenario, fleet, clock, aircraft, jsbsim)
     with unrecorded():
         events = (
             *(Event(0.0, "info", "run", text) for text in control.messages),

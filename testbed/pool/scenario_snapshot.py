@@ -72,8 +72,11 @@ def snapshot(scenario: Scenario, folder: Path, *, defaults: bool = True) -> dict
         data.get("controller", {}).pop("safety", None)
     if not scenario.controller.map:  # the same
         data.get("controller", {}).pop("map", None)
-    # bounds of `testbed companion` on aircraft
-    data.get("controller", {}).get("companion", {}).pop("flight", None)
+    companion = data.get("controller", {}).get("companion", {})
+    companion.pop("flight", None)  # bounds of `testbed companion` on aircraft
+    if scenario.controller.companion.link == "direct":  # as in snapshots from before there was one
+        for key in ("link", "acceleration"):
+            companion.pop(key, None)
     data["scenario"] = {k: v for k, v in data["scenario"].items() if k not in _LEFT_OUT}
     result: dict[str, Any] = _with_relative_paths(data, folder.resolve())
     return result

@@ -309,6 +309,18 @@ class Companion(Section):
         0.0,
         description="Time from a control step to the arrival of its command at the autopilot, s.",
     )
+    link: Literal["direct", "mavlink"] = Field(
+        "direct",
+        description="How states and commands pass between autopilot and controller: direct is with "
+        "every digit; mavlink is rounded as in MAVLink's messages, with the command as an attitude "
+        "target in GUIDED, which acts at the autopilot's next tick, and needs network.encoding: "
+        "follow-target.",
+    )
+    acceleration: Literal["velocity", "imu"] = Field(
+        "velocity",
+        description="Source of the own acceleration with link: mavlink: differences of the "
+        "velocity, or the accelerometers of SCALED_IMU.",
+    )
     flight: CompanionFlight = Field(
         CompanionFlight(),
         description="Bounds of `testbed companion` on an aircraft; without effect in a run.",

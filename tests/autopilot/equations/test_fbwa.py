@@ -92,6 +92,28 @@ def _once(params: FbwaParams, state: VehicleState, command: FbwaCommand) -> Actu
     return adapters.fbwa(state, command, fresh(1), gains=make_gains([params], DT, PROMPT))[0]
 
 
+def _flown(*, guided: bool, down_deg: float, throttle: float) -> list[float]:
+    """Return the surfaces of one period, with STAB_PITCH_DOWN, deg."""
+    params = replace(PLAIN, stab_pitch_down=down_deg, trim_throttle=40.0)
+    autopilots = initial_autopilots(make_gains([params], DT, PROMPT))
+    aircraft = allocate(AIRCRAFT, 1)
+    write_fields(aircraft["estimate"], _state())
+    write_fields(aircraft["command"], _command(pitch=3.0, throttle=throttle))
+    aircraft["guided"] = guided
+    fly_by_wire_a(np.arange(1), *autopilots, aircraft)
+    return list(aircraft["surfaces"][0])
+
+
+def test_guided_does_not_lower_the_nose() -> None:
+    """By STAB_PITCH_DOWN, which FBWA does below the trim throttle."""
+    given = {"guided": True, "down_deg": 4.0, "throttle": 0.1}
+    assert _flown(**given) == _flown(**given | {"guided": False, "down_deg": 0.0})
+    assert _flown(**given) != _flown(**given | {"guided": False})
+    # above the trim throttle both are the same
+    given["throttle"] = 0.5
+    assert _flown(**given) == _flown(**given | {"guided": False})
+
+
 def test_feed_forward_by_hand() -> None:
     # 10° to go at 0.5 s: 20 °/s; × 0.3 / EAS2TAS 1.02 = 5.882 of 45 degrees of aileron.
     surfaces = _once(PLAIN, _state(roll=5.0), _command(roll=15.0))

@@ -7,7 +7,8 @@ import testbed
 from testbed.core.records import AIRCRAFT, allocate
 from testbed.flight.companion import Companions
 from testbed.flight.schedule import make_clock
-from testbed.plan.control import build_companions
+from testbed.plan.companions import build_companions
+from testbed.plan.fleet import resolve
 from testbed.scenario import load_scenario, loads, set_duration
 
 SPEED = 22.0
@@ -124,4 +125,5 @@ def test_late_commands_leave_the_earlier_ones():
 
 def test_no_latency_builds_no_companion():
     scenario = loads(SCENARIO)
-    assert build_companions(scenario.controller.companion, clock(), allocate(AIRCRAFT, 2)) is None
+    none = build_companions(scenario, resolve(scenario), clock(), allocate(AIRCRAFT, 2), None)
+    assert none is None

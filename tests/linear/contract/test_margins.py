@@ -341,8 +341,9 @@ def test_a_turn_at_the_limit_has_no_room_for_kicks(turn, monkeypatch):
         (
             "controller.companion={state_latency_s: 0.02}",
             "companion computers",
-            "(write controller.companion: {state_latency_s: 0, command_latency_s: 0})",
-            ["controller.companion={state_latency_s: 0, command_latency_s: 0}"],
+            "(write controller.companion: {state_latency_s: 0, command_latency_s: 0, "
+            "link: direct})",
+            ["controller.companion={state_latency_s: 0, command_latency_s: 0, link: direct}"],
         ),
         (
             "rates={broadcast_hz: 5, synchronous: false}",

@@ -75,6 +75,25 @@ def test_sessions_without_commands_change_no_bit(uncommanded, without_sessions):
     same_bits(uncommanded, without_sessions)
 
 
+def test_only_attitude_targets_in_guided_are_guided():
+    """A circle in GUIDED, its failsafe and sticks in FBWA are flown as in FBWA."""
+
+    def mode(name):
+        return lambda sessions: sessions[3].set_mode(FlightMode[name])
+
+    def target(sessions):
+        assert set_manual(sessions[3], 0.1, 0.05, 0.3, attitude=True) is None
+
+    script = {1.0: mode("GUIDED"), 2.0: target, 5.0: mode("LOITER"), 6.0: mode("FBWA")}
+    frames = flown(script, seconds=7.0)
+    guided = of(frames, lambda frame: frame.records[0]["guided"].copy())
+    assert not guided[:, :3].any()
+    # the failsafe is 1.5 s later
+    found = times(frames)[guided[:, 3]]
+    assert (found.min(), found.max()) == pytest.approx((2.0, 3.5), abs=0.1)
+    assert len(found) == pytest.approx(1.5 * 25, abs=2)
+
+
 def follower_away(frames, row=3):
     """Return the distance of a follower from its slot at the end, m."""
     return float(np.linalg.norm(frames[-1].formation.error_ned[row - 1]))
