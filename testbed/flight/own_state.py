@@ -233,8 +233,7 @@ def _finite3(values: Vector) -> Values:
 @kernel
 def _whole(value: float, largest: int) -> int:
     """Round to an integer of a field, half to even, and clamp to its range."""
-    rounded: int = np.int64(np.rint(min(max(value, -largest - 1.0), largest)))
-    return rounded
+    return int(np.rint(min(max(value, -largest - 1.0), largest)))
 
 
 @kernel
