@@ -55,14 +55,14 @@ class CompanionFlight(Section):
         "RC_CHANNELS, s; autopilots send most of them once a second.",
     )
     leader_age_s: Seconds = Field(
-        2.0,
+        1.0,
         ge=0.1,
         le=60,
         description="Age of the leader's last message, s; before engagement of every aircraft's "
         "that the law uses.",
     )
     pause_s: Seconds = Field(
-        0.5,
+        0.8,
         ge=0.1,
         le=LONGEST_STATE_AGE_S,
         description="Time between two passes of the companion's own loop, s.",

@@ -117,7 +117,7 @@ def frozen(now_s):
 BREAKS = {
     Reason.PILOT_MODE: [own(mode=FBWA), own(mode=11)],
     Reason.STOPPING: [own(stopping=True)],
-    Reason.PAUSED: [lambda seen: changed(seen, now_s=seen.now_s + 0.6)],
+    Reason.PAUSED: [lambda seen: changed(seen, now_s=seen.now_s + 0.9)],
     Reason.HEARTBEAT: [old("HEARTBEAT"), old("HEARTBEAT", age_s=3.1)],
     Reason.STICK: [own(sticks_us=(1700.0, 1500.0, 1500.0)), own(sticks_us=(1500, 1500, 1340))],
     Reason.RESTARTED: [own(boot_s=0.5)],
@@ -145,14 +145,14 @@ BREAKS = {
     Reason.NO_RECEIVER: [own(sticks_us=None), old(STICKS, age_s=3.1)],
     Reason.NO_PARAMETERS: [own(parameters={})],
     Reason.PARAMETERS: [parameters(TRIM_THROTTLE=0.0), parameters(ROLL_LIMIT_DEG=45.0)],
-    Reason.LEADER_AGE: [other("leader", age_s=2.1), other("leader", age_s=math.inf)],
+    Reason.LEADER_AGE: [other("leader", age_s=1.1), other("leader", age_s=math.inf)],
     Reason.LEADER_JUMP: [moved_leader, other("leader", position_ned=(math.nan, 0.0, 0.0))],
     Reason.LEADER_SPEED: [
         other("leader", velocity_ned=(2.0, 0.0, 0.0)),
         other("leader", velocity_ned=(0.0, 61.0, 0.0)),
         other("leader", velocity_ned=(math.nan, 0.0, 0.0)),
     ],
-    Reason.PEER_AGE: [other("uav1", age_s=2.1)],
+    Reason.PEER_AGE: [other("uav1", age_s=1.1)],
     Reason.PAGE_DIFFERS: [
         other("uav1", digests=join_digests(PAGE + 1, PARAMETERS)),
         other("leader", digests=join_digests(PAGE + 1, PARAMETERS)),
