@@ -10,12 +10,11 @@ from math import ceil, floor, isnan
 
 import numpy as np
 
-from testbed.core.call_list import NOW, Call
+from testbed.core.call_list import NOW, Call, Steps
 from testbed.core.compile import entry
 from testbed.core.copies import copy_command, copy_motion
 from testbed.core.records import AIRCRAFT, MOTION, Array, Indices, Records, allocate
 from testbed.flight.schedule import Clock
-from testbed.flight.vehicles import Steps
 
 _ROUNDING = 1e-6  # of a period, and s
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from testbed.core.call_list import NOW, Call
+from testbed.core.call_list import NOW, Call, Steps
 from testbed.core.compile import entry
 from testbed.core.geodetic import LocalFrame
 from testbed.core.records import AIRCRAFT, Array, Indices, Records, allocate
@@ -24,7 +24,6 @@ from testbed.flight.own_state import (
     encode_own_state,
 )
 from testbed.flight.schedule import Clock
-from testbed.flight.vehicles import Steps
 
 _LATER_S = 2e-6  # so that a command acts after its control step, at the next tick
 
