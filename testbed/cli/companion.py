@@ -31,7 +31,7 @@ from testbed.cli.output import (
 from testbed.core.errors import ExternalProgramLost
 
 if TYPE_CHECKING:
-    from testbed.companion.control_loop import CompanionLoop, Listener
+    from testbed.companion.control_loop import CompanionLoop, FlightListener
     from testbed.companion.engagement import CompanionText
     from testbed.companion.flight_record import FlightRecord
     from testbed.companion.follower_control import FollowerControl
@@ -74,8 +74,9 @@ def companion_command(
         str,
         value_option(
             "ADDRESS",
-            "The others: multicast:GROUP:PORT@INTERFACE_ADDRESS, peers:HOST:PORT,HOST:PORT,… with "
-            "one address for each aircraft, the leader's first, or hub:HOST:PORT.",
+            "The others: multicast:GROUP:PORT@IP, with the own address of the interface; "
+            "peers:HOST:PORT,HOST:PORT with one address for each aircraft, the leader's first; or "
+            "hub:HOST:PORT.",
         ),
     ],
     overrides: Overrides = None,
@@ -170,11 +171,11 @@ def companion_command(
     with stop_on_signals() as stop, ExitStack() as closing:
         with error_places(scenario, overrides):
             control = FollowerControl(loaded, name)
-        for line in _begin_lines(name, options):
+        for line in _begin_lines(loaded, name, options):
             messages.write_line(line, "yellow" if line.startswith("warning") else "")
         supervised = _Supervised()
         closing.callback(supervised.close)
-        listeners: list[Listener] = [_Printer(messages), supervised]
+        listeners: list[FlightListener] = [_Printer(messages), supervised]
         record = _open_record(loaded, control, out, messages) if write_log else None
         if record is not None:
             listeners.append(record)
@@ -209,14 +210,17 @@ def _read_key(file: Path | None) -> bytes | None:
     return key
 
 
-def _begin_lines(name: str, options: CompanionOptions) -> list[str]:
+def _begin_lines(scenario: Scenario, name: str, options: CompanionOptions) -> list[str]:
     """Describe a companion before its flight."""
+    from testbed.companion.page_warnings import page_warnings
+
     signed = "signed" if options.key else "unsigned"
     lines = [f"companion of {name}: {options.autopilot} · {options.formation} · {signed}"]
     if options.reaches_aircraft:
         lines.append(f"warning: {NEVER_FLOWN}")
         if options.key is None:
             lines.append("warning: --unsigned: anyone who reaches the port can fly the aircraft")
+        lines += [f"warning: {each}" for each in page_warnings(scenario)]
     return lines
 
 

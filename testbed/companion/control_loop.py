@@ -81,7 +81,7 @@ class BroadcastOnly:
         return Decision(EngagementState.WAITING, False, None, (), ())
 
 
-class Listener(Protocol):
+class FlightListener(Protocol):
     """Takes what happens in the loop."""
 
     def sample(self, loop: CompanionLoop) -> None:
@@ -131,7 +131,7 @@ class CompanionLoop:
         links: CompanionLinks,
         gate: Gate,
         page: int,
-        listeners: Sequence[Listener] = (),
+        listeners: Sequence[FlightListener] = (),
         *,
         lockstep: bool = False,
     ) -> None:

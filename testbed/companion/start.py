@@ -16,13 +16,14 @@ from testbed.companion.control_loop import (
     CompanionLinks,
     CompanionLoop,
     Gate,
-    Listener,
+    FlightListener,
 )
 from testbed.companion.engagement import Engagement, LeaveMode
 from testbed.companion.follower_control import FollowerControl
 from testbed.companion.formation_link import FormationAddress, FormationLink
 from testbed.companion.page_digest import AGREED_PARAMETERS, page_digest
 from testbed.core.errors import InputError
+from testbed.core.input_files import MAX_TABLE_BYTES, read_bounded
 from testbed.link.ends import EndAddress, open_end
 from testbed.mavlink.signing import MessageSigner, Signing, signing_time
 from testbed.plan.fleet import FormationPlan
@@ -95,7 +96,7 @@ def digest_of(scenario: Scenario, folder: Path) -> int:
     flight = scenario.controller.companion.model_dump(mode="json")
     parts = [("page", json.dumps([page, flight], sort_keys=True).encode())]
     files = referenced_files(referents(scenario))
-    parts += [(name, file.read_bytes()) for name, file in files.items()]
+    parts += [(name, read_bounded(file, MAX_TABLE_BYTES)) for name, file in files.items()]
     return page_digest(parts)
 
 
@@ -141,7 +142,7 @@ def open_companion(
     folder: Path,
     control: FollowerControl,
     options: CompanionOptions,
-    listeners: Sequence[Listener],
+    listeners: Sequence[FlightListener],
 ) -> Iterator[CompanionLoop]:
     """Open the links of a companion, and close them at the end of the block.
 
