@@ -15,8 +15,8 @@ from testbed.companion.control_loop import (
     BroadcastOnly,
     CompanionLinks,
     CompanionLoop,
-    Gate,
     FlightListener,
+    Gate,
 )
 from testbed.companion.engagement import Engagement, LeaveMode
 from testbed.companion.follower_control import FollowerControl
