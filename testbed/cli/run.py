@@ -134,6 +134,16 @@ def run_command(
             rich_help_panel=_EXTERNAL,
         ),
     ] = None,
+    companions: Annotated[
+        bool,
+        typer.Option(
+            "--companions",
+            help="Fly every follower by `testbed companion` in a process of its own, in lockstep, "
+            "or with --pace 1 in real time; the scenario needs controller.companion.link: mavlink "
+            "and network.encoding: follow-target.",
+            rich_help_panel=_EXTERNAL,
+        ),
+    ] = False,
     arduplane: Annotated[
         Path | None,
         typer.Option(
@@ -178,6 +188,7 @@ def run_command(
         tlog=tlog,
         key_file=mavlink_key,
         arduplane=arduplane,
+        companions=companions,
         quiet=quiet,
     )
     check_follow(follow, loaded.aircraft_names)
@@ -299,6 +310,7 @@ def external_options(
     tlog: bool,
     key_file: Path | None,
     arduplane: Path | None,
+    companions: bool = False,
     quiet: bool = False,
 ) -> ExternalOptions:
     """Read the options for external programs.
@@ -315,7 +327,7 @@ def external_options(
     if pace is None:
         sources = [each.commanded_by for each in scenario.aircraft]
         lockstep = any(isinstance(each, External) and each.lockstep for each in sources)
-        pace = 1.0 if addresses and not lockstep else 0.0
+        pace = 1.0 if addresses and not (lockstep or companions) else 0.0
     if pace:
         check_pace("--pace", pace)
     if key_file and not addresses:
@@ -341,5 +353,6 @@ def external_options(
         tlog=tlog,
         signing_key=key,
         arduplane=arduplane,
+        companions=companions,
         quiet=quiet,
     )

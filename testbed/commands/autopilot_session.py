@@ -59,6 +59,7 @@ class AutopilotSession(VehicleControl):
         *,
         external: External | None,
         mission: OwnMission | None,
+        companion: bool = False,
     ) -> None:
         """Start in the scenario's mode: AUTO for a leader with a mission, otherwise FBWA.
 
@@ -69,10 +70,15 @@ class AutopilotSession(VehicleControl):
             apply_params: gives its autopilot other parameters.
             external: the scenario's `commanded_by: external`, or None.
             mission: of a leader, its mission in the scenario and its controller.
+            companion: the run starts a companion computer, which commands a follower from the first
+                sample on: it begins in GUIDED, in trim.
         """
         super().__init__(name, FlightMode.AUTO if mission and not external else FlightMode.FBWA, "")
         self.trim = config.trim
         self._external, self._leads = external or External(), mission is not None
+        self.companion = companion
+        if companion and external is not None:
+            self.mode = FlightMode.GUIDED
         self.external = external is not None
         self.lockstep = external is not None and external.lockstep
         self._origin = config.origin

@@ -23,6 +23,19 @@ STATUS_RATES = {
 }
 
 
+def heartbeat(codec: Codec) -> bytes:
+    """Return the frame by which others know that a companion is there."""
+    return codec.pack(
+        "HEARTBEAT",
+        type=constant("MAV_TYPE_ONBOARD_CONTROLLER"),
+        autopilot=constant("MAV_AUTOPILOT_INVALID"),
+        base_mode=0,
+        custom_mode=0,
+        system_status=constant("MAV_STATE_ACTIVE"),
+        mavlink_version=3,
+    )
+
+
 class AutopilotRequests:
     """Frames to send to an autopilot.
 
@@ -53,15 +66,7 @@ class AutopilotRequests:
         """Yield the frames to send at a time, s of the monotonic clock."""
         if now_s - self._heartbeat_s >= HEARTBEAT_S:
             self._heartbeat_s = now_s
-            yield self._codec.pack(
-                "HEARTBEAT",
-                type=constant("MAV_TYPE_ONBOARD_CONTROLLER"),
-                autopilot=constant("MAV_AUTOPILOT_INVALID"),
-                base_mode=0,
-                custom_mode=0,
-                system_status=constant("MAV_STATE_ACTIVE"),
-                mavlink_version=3,
-            )
+            yield heartbeat(self._codec)
         for name, rate_hz in self._rates.items():
             asked_s, count = self._looked.get(name, (-math.inf, 0))
             if now_s - asked_s < AGAIN_S:

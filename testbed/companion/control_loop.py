@@ -14,7 +14,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from testbed.companion.autopilot_requests import AutopilotRequests
+from testbed.companion.autopilot_requests import AutopilotRequests, heartbeat
+from testbed.companion.autopilot_state import IMU as IMU_MESSAGE
 from testbed.companion.autopilot_state import OWN_STATE_MESSAGES, AutopilotState
 from testbed.companion.boot_clock import BootClock, monotonic_of
 from testbed.companion.clock_offset import ClockOffset
@@ -30,8 +31,10 @@ from testbed.companion.formation_messages import (
 from testbed.companion.loop_statistics import LoopStatistics
 from testbed.companion.observation import Observation, PeerObservation
 from testbed.companion.page_digest import AGREED_PARAMETERS, join_digests, parameter_digest
+from testbed.flight.own_state import IMU
 from testbed.link.ends import End
 from testbed.mavlink.codec import Codec, Message
+from testbed.mavlink.lockstep_messages import RECEIPT, receipt_time
 from testbed.mavlink.outgoing import Severity, StatusTexts
 from testbed.mavlink.signing import MessageSigner, signing_time
 
@@ -40,6 +43,7 @@ PIECES = 64  # of the autopilot at one read
 WAIT_S = 0.05  # longest wait, so that it decides 20 times a second whatever comes
 DECIDE_S = 0.04  # between decisions without a new sample
 IGNORED_RATES = 7  # type_mask of SET_ATTITUDE_TARGET: attitude and thrust count
+GREET_S = 0.2  # between greetings of a hub, until the autopilot is heard
 ANSWERED_S = 1.0  # in lockstep: after this wall time a sample that waits is broadcast again
 _MS = 1e-3
 
@@ -153,8 +157,11 @@ class CompanionLoop:
         self._autopilot = Codec(system, COMPONENT, links.autopilot_signer)
         self._formation = Codec(system, COMPONENT, links.formation_signer)
         self.state, self._clock = AutopilotState(system), BootClock()
+        streams = OWN_STATE_MESSAGES
+        if control.acceleration == IMU:
+            streams = IMU_MESSAGE, *streams
         self._requests = AutopilotRequests(
-            self._autopilot, system, OWN_STATE_MESSAGES, control.rate_hz, AGREED_PARAMETERS
+            self._autopilot, system, streams, control.rate_hz, AGREED_PARAMETERS
         )
         self._messages = FormationMessages(control.plan.origin, len(names))
         self._texts = StatusTexts()
@@ -190,7 +197,11 @@ class CompanionLoop:
             ExternalProgramLost: the autopilot's device is gone.
         """
         ends = self._links.autopilot, self._links.formation
+        greeted_s = -math.inf
         while True:
+            if not self._heard and time.monotonic() - greeted_s >= GREET_S:
+                greeted_s = time.monotonic()
+                self._greet()
             full = [self._links.autopilot] if self._links.autopilot.has_output else []
             ready, _, _ = select.select(ends, full, [], WAIT_S)
             if full:
@@ -211,6 +222,11 @@ class CompanionLoop:
                 self._decide(now_s, stopping=stopping)
             if stopping and self._gate.may_end:
                 return
+
+    def _greet(self) -> None:
+        """Tell a hub that this companion listens."""
+        if self._links.formation.address.kind == "hub":
+            self._links.formation.send(heartbeat(self._formation))
 
     def _send(self, frame: bytes) -> None:
         self._links.autopilot.send(frame)
@@ -291,7 +307,8 @@ class CompanionLoop:
             if message.name == "SYSTEM_TIME":
                 self._mark_ms = int(message.number("time_boot_ms"))
                 return
-            if message.name == "DEBUG_FLOAT_ARRAY":
+            if message.name == RECEIPT:
+                self._receipt_s = receipt_time(message.fields["data"])
                 return
         peer = self._messages.read(message)
         if peer is not None and peer.row != self.control.row:
@@ -302,7 +319,9 @@ class CompanionLoop:
         if base_ms is None:  # as of a message that was faster than the own first sample
             self._early[peer.row] = peer, received_s
             return
-        boot_s = self.boot_s if self._lockstep else self._clock.at(received_s)
+        boot_s = self._receipt_s if self._lockstep else self._clock.at(received_s)
+        if boot_s is None:  # in lockstep without a hub
+            boot_s = self.boot_s
         link = self.control.inbox[peer.row]
         if write_link(link, peer, base_ms, boot_s):
             self._observe_peer(peer, (peer.timestamp_ms - base_ms) * _MS, boot_s, received_s)

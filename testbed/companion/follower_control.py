@@ -33,6 +33,7 @@ from testbed.flight.law_inputs import declared_faults, wind_estimates
 from testbed.flight.law_reports import LawReports
 from testbed.flight.own_state import (
     ATTITUDE_TARGET,
+    IMU,
     OWN_STATE,
     VELOCITY,
     decode_own_states,
@@ -72,17 +73,17 @@ class FollowerControl:
         aircraft: (N,) of AIRCRAFT; `estimate` of the own row is read, `control` of it written.
         followers: (n,) of FOLLOWER; the own row is written.
         links: (n, N) of LINK; the own row has the messages of the others.
+        acceleration: source of the own one, see `decode_own_states`.
         used: rows of the aircraft whose messages the law uses.
         built: control of the n followers before the first step.
     """
 
-    def __init__(self, scenario: Scenario, name: str, acceleration: int = VELOCITY) -> None:
+    def __init__(self, scenario: Scenario, name: str) -> None:
         """Build the control of an aircraft, and compile or load its machine code.
 
         Args:
             scenario: that is flown.
             name: of the aircraft.
-            acceleration: source of the own one, see `decode_own_states`.
 
         Raises:
             InputError: the scenario cannot be flown, or has no such aircraft.
@@ -98,6 +99,8 @@ class FollowerControl:
                 f"--as {name}: an ideal vehicle takes no attitudes (write vehicle: jsbsim)"
             )
         self.row = names.index(name)
+        imu = scenario.controller.companion.acceleration == "imu"
+        self.acceleration = IMU if imu else VELOCITY
         n = len(names)
         self.clock = clock = build_clock(scenario)
         self.rate_hz = clock.base_rate_hz / clock.control
@@ -111,7 +114,7 @@ class FollowerControl:
             self.built: BuiltControl = build_control(
                 self.plan, scenario.controller, clock, [(own,)] if self.row else []
             )
-            self._bind_messages(acceleration)
+            self._bind_messages()
             self._control = self._make_control() if self.row else None
             self._steps = () if self._control is None else self._control.steps(0)
             self._begin = SavedState(steps=self._steps, control=self._control)
@@ -120,14 +123,14 @@ class FollowerControl:
         used = self.built.neighbours["used"][own] if self.row else np.zeros(n, dtype=bool)
         self.used = tuple(m for m in np.flatnonzero(used).tolist() if m != self.row)
 
-    def _bind_messages(self, acceleration: int) -> None:
+    def _bind_messages(self) -> None:
         """Bind what reads and writes the fields of MAVLink messages."""
         n, rows = len(self.aircraft), np.array([self.row], dtype=np.intp)
         frame = local_frame(self.plan.origin)
         self._own_states, before = allocate(OWN_STATE, n), allocate(OWN_STATE, n)
         self._messages, self._targets = allocate(MESSAGE, n), allocate(ATTITUDE_TARGET, n)
         unplanned, sent_s = np.full(n, np.nan), np.zeros(n)
-        states = rows, self._own_states, before, frame, acceleration, self.aircraft
+        states = rows, self._own_states, before, frame, self.acceleration, self.aircraft
         self._decode = Call(decode_own_states, *states)
         self._write = Call(write_messages, self.aircraft, self._messages, unplanned, sent_s, NOW)
         self._encode = Call(encode_attitude_targets, rows, self.aircraft, self._targets)

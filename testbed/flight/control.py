@@ -172,6 +172,11 @@ class Control:
         self._use_all_messages()
         self._parts = controllers, neighbours, self._own, *run
 
+    @property
+    def responds(self) -> bool:
+        """Whether followers respond to declared failures."""
+        return self._membership is not None
+
     def _use_all_messages(self) -> None:
         """Mark all messages as used by users' laws, because their use is not known."""
         for group in self.groups:

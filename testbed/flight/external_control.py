@@ -22,12 +22,14 @@ class CommandSession(Protocol):
         lost: it crashed or broke.
         frozen: its autopilot is frozen.
         lockstep: the run waits for its commands.
+        companion: the formation's law commands it, from a companion computer that the run started.
     """
 
     name: str
     lost: bool
     frozen: bool
     lockstep: bool
+    companion: bool
 
     @property
     def command_counts(self) -> Mapping[str, int]:
@@ -157,7 +159,11 @@ class ExternalControl:
 
     def _commanded_followers(self) -> list[int]:
         """Rows, among n followers, of those that a session controls."""
-        return [row - 1 for row, each in self._sessions if row and each.command is not None]
+        return [
+            row - 1
+            for row, each in self._sessions
+            if row and each.command is not None and not (each.companion and each.guided)
+        ]
 
     def command_counts(self) -> Mapping[str, Mapping[str, int]]:
         """Count the executed external requests, by aircraft and kind; for the metrics."""

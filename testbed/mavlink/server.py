@@ -6,7 +6,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 from testbed.core.errors import InputError
 from testbed.core.records import Event, NedOrigin, RunInfo, Sample
@@ -55,6 +55,26 @@ MAX_VEHICLES = 250  # higher system ids are those of ground stations
 MAX_CLIENTS = 32
 RECEIVE_BUDGET_S = 0.005  # wall-clock s per poll, so that a flood cannot stop a flight
 POLL_S = 0.02  # wall-clock s between two polls while waiting
+
+
+class Attached(Protocol):
+    """What is served beside the links of a run."""
+
+    def fileno(self) -> int:
+        """Return the file descriptor, for select."""
+
+    def poll(self, now_s: float) -> bool:
+        """Handle what was received, and send what is due; true: there was something.
+
+        Args:
+            now_s: simulation time, s.
+        """
+
+    def due_s(self) -> float:
+        """Return the wall-clock time until something is due, s; infinite: nothing is."""
+
+    def pop_events(self) -> list[Event]:
+        """Return the events since the last call."""
 
 
 class Client(NamedTuple):
@@ -110,6 +130,7 @@ class MavlinkServer:
         self._frames_sent = self._frames_received = 0
         self._warned = False
         self._links: list[MavlinkLink] = []
+        self._attached: list[Attached] = []
         self._log: TlogWriter | None = None
         try:
             for address, rows in link_addresses(addresses, [each.name for each in controls]):
@@ -123,6 +144,10 @@ class MavlinkServer:
     def clients(self) -> tuple[Client, ...]:
         """The programs that have sent an accepted message."""
         return tuple(Client(*ids, latest_s) for ids, latest_s in self._clients.items())
+
+    def attach(self, part: Attached) -> None:
+        """Serve something else, too, wherever the links are served."""
+        self._attached.append(part)
 
     def log_to(self, tlog: Path) -> None:
         """Log every sent and received frame from `begin` on, all parameters first.
@@ -188,6 +213,8 @@ class MavlinkServer:
         for row, vehicle in self._responsive_vehicles():
             self._send(row, vehicle.poll(wall_s))
         self._flush()
+        for part in self._attached:
+            received |= part.poll(now_s)
         return received
 
     def wait(self, seconds: float, now_s: float) -> None:
@@ -197,36 +224,40 @@ class MavlinkServer:
             seconds: of wall-clock time.
             now_s: simulation time, s.
         """
-        endpoints = [link.endpoint for link in self._links]
+        endpoints = [*(link.endpoint for link in self._links), *self._attached]
         stop = self._clock() + seconds
         while not self.poll(now_s):
             remaining = stop - self._clock()
             if remaining <= 0.0:
                 return
-            wait(endpoints, min(remaining, POLL_S))
+            wait(endpoints, min(remaining, POLL_S, *(part.due_s() for part in self._attached)))
 
     def repeat(self, now_s: float) -> None:
-        """Send the latest state of the lockstep vehicles again.
+        """Send the latest state of vehicles again that a run waits for in lockstep.
 
         Args:
             now_s: simulation time, s.
         """
         self._set_time(now_s)
         for row, vehicle in self._responsive_vehicles():
-            if vehicle.lockstep and self._snapshot is not None:
-                self._send(row, vehicle.lockstep_state())
+            if self._snapshot is not None:
+                self._send(row, vehicle.repeated_state())
         self._flush()
 
     def pop_events(self) -> list[Event]:
-        """Return a warning, once per run, after a message failed verification."""
+        """Return those since the last call: a warning, once, after a message failed verification.
+
+        And those of what is attached.
+        """
+        events = [event for part in self._attached for event in part.pop_events()]
         if self._warned or not self._rejected():
-            return []
+            return events
         self._warned = True
         text = (
             "MAVLink messages were ignored: not signed with this run's key, received before, or "
             "signed before the run began"
         )
-        return [Event(self._now_s, "warning", "run", text)]
+        return [*events, Event(self._now_s, "warning", "run", text)]
 
     def summary(self) -> dict[str, Any]:
         """Count the traffic over all links, for the metrics."""

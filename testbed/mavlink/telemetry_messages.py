@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -18,6 +18,8 @@ FieldBuilder = Callable[[VehicleContext, TelemetrySnapshot], Fields | None]
 
 HEARTBEAT, ATTITUDE = "HEARTBEAT", "ATTITUDE"
 LOCKSTEP_STATE = ("LOCAL_POSITION_NED", ATTITUDE)  # sent with every sample in lockstep
+# Sent with every sample to companion computers that the run starts.
+COMPANION_STATE = ("GLOBAL_POSITION_INT", "LOCAL_POSITION_NED", "VFR_HUD", "SCALED_IMU", ATTITUDE)
 
 
 class Stream(IntEnum):
@@ -107,16 +109,16 @@ class MessageSchedule:
         slowdown_us: added to every interval but that of the heartbeat.
     """
 
-    def __init__(self, sample_rate_hz: float, *, lockstep: bool) -> None:
+    def __init__(self, sample_rate_hz: float, always: Sequence[str] = ()) -> None:
         """Start with the default rates and all messages due.
 
         Args:
             sample_rate_hz: rate of the samples.
-            lockstep: send `LOCKSTEP_STATE` with every sample.
+            always: messages that are sent with every sample.
         """
         self.slowdown_us = 0
         self._min_interval_us = round(1e6 / sample_rate_hz)
-        self._always = frozenset(LOCKSTEP_STATE if lockstep else ())
+        self._always = frozenset(always)
         self._intervals = {name: self._default(name) for name in TELEMETRY_MESSAGES}
         self._next = {name: 0 for name, every in self._intervals.items() if every != DISABLED}
 

@@ -19,7 +19,7 @@ import struct
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, Protocol
 
 from testbed.core.errors import InputError
 
@@ -250,6 +250,12 @@ class Endpoint:
             yield peer, bytes(self._buffer[:size]), time_ns or time.time_ns()
 
     @property
+    def port(self) -> int:
+        """The own port; of an address with port 0 the one that the system has chosen."""
+        found: int = self._socket.getsockname()[1]
+        return found
+
+    @property
     def has_peers(self) -> bool:
         """Whether there is one to send to, active or not."""
         return self._fixed or bool(self._peers)
@@ -297,7 +303,14 @@ class Endpoint:
         self.dropped += 1
 
 
-def wait(endpoints: Sequence[Endpoint], seconds: float) -> bool:
+class HasFileno(Protocol):
+    """What `select` waits for."""
+
+    def fileno(self) -> int:
+        """Return the file descriptor."""
+
+
+def wait(endpoints: Sequence[HasFileno], seconds: float) -> bool:
     """Wait for data on any endpoint, at most this wall-clock time, s.
 
     Returns:

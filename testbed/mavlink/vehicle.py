@@ -14,6 +14,7 @@ from testbed.mavlink.outgoing import Handler, OutgoingMessage, Severity
 from testbed.mavlink.parameter_protocol import ParameterProtocol
 from testbed.mavlink.services import Services
 from testbed.mavlink.telemetry_messages import (
+    COMPANION_STATE,
     HEARTBEAT,
     LOCKSTEP_STATE,
     MessageSchedule,
@@ -65,7 +66,9 @@ class MavlinkVehicle:
         self.system, self.lockstep = system, control.lockstep
         version = info.versions.get("testbed", "0")
         self._context = VehicleContext(control, system, row, info.origin, version, epoch_us)
-        self._schedule = MessageSchedule(info.sample_rate_hz, lockstep=self.lockstep)
+        state = LOCKSTEP_STATE if self.lockstep else ()
+        self._state = COMPANION_STATE if control.companion else state
+        self._schedule = MessageSchedule(info.sample_rate_hz, self._state)
         self._parameters = ParameterProtocol(self._context)
         self._missions = MissionProtocol(self._context)
         commands = CommandProtocol(self._context, self._schedule)
@@ -133,11 +136,9 @@ class MavlinkVehicle:
         """Return all parameters, for a log."""
         return self._parameters.all_values()
 
-    def lockstep_state(self) -> list[OutgoingMessage]:
-        """Return the state messages of the latest sample."""
-        return [
-            message for name in LOCKSTEP_STATE for message in build_message(name, self._context)
-        ]
+    def repeated_state(self) -> list[OutgoingMessage]:
+        """Return the state messages of the latest sample that are sent with every one."""
+        return [message for name in self._state for message in build_message(name, self._context)]
 
     def event_text(self, event: Event) -> list[OutgoingMessage]:
         """Make the STATUSTEXT of an event."""

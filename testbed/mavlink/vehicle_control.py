@@ -64,6 +64,7 @@ class VehicleControl:
         failsafe: whether it circles because commands have stopped.
         external: whether the scenario has an external program command it.
         lockstep: whether the run waits for its commands, so that every sample must be sent.
+        companion: whether the run has started a companion computer that reads its state.
         parameters: by ArduPlane's names, in a fixed order; empty without a virtual autopilot.
         mission: the items that AUTO flies, home as item 0; empty: none.
         current_item: the mission item that AUTO flies or resumes with.
@@ -75,6 +76,7 @@ class VehicleControl:
     failsafe = False
     external = False
     lockstep = False
+    companion = False
 
     def __init__(self, name: str, mode: FlightMode, reason: str) -> None:
         """Reject all commands for this reason."""

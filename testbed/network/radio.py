@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,7 +27,7 @@ from testbed.network.channel import Channel, initial_departures, initial_links, 
 from testbed.network.clocks import clock_error
 from testbed.network.encoding import Encoder, Encoding, UndetectedErrors
 from testbed.network.link_statistics import initial_statistics, summarise
-from testbed.network.links import Numbers, Outcomes
+from testbed.network.links import CORRUPT, Numbers, Outcomes
 from testbed.network.packet_outcomes import transmit_broadcast
 from testbed.network.packet_queue import (
     NO_MESSAGE,
@@ -127,6 +127,12 @@ class Radio:
         return bool(random or self._losses.trace or self._losses.fading)
 
     @property
+    def corrupts(self) -> bool:
+        """Whether links flip bits of frames."""
+        links = self._channel.links
+        return any(bool(links[name][..., CORRUPT].any()) for name in ("after_none", "after_one"))
+
+    @property
     def _received(self) -> tuple[Records, ...]:
         return self._queue, self.links, self.statistics
 
@@ -157,6 +163,16 @@ class Radio:
         """Have space for as many messages on their way as another radio of the same links."""
         while len(self._queue) < len(other._queue):
             self._grow_queue()
+
+    def sent(self) -> Iterator[tuple[float, int, int]]:
+        """Yield arrival time, s, follower and sender of each copy of the last broadcast.
+
+        In the order in which copies that arrive at the same time are delivered.
+        """
+        senders = np.flatnonzero(self.senders)
+        arrival_s = self.packets["arrival_s"][:, senders]
+        for i, k, copy in np.argwhere(np.isfinite(arrival_s)).tolist():
+            yield float(arrival_s[i, k, copy]), i, int(senders[k])
 
     def restart_statistics(self) -> None:
         """Count from now on."""

@@ -48,6 +48,7 @@ def build_external_control(
     leader: LeaderController | None,
     starts: Sequence[InitialState],
     jsbsim: JsbsimVehicles | None,
+    companions: External | None = None,
 ) -> ExternalControl:
     """Build the sessions of all aircraft.
 
@@ -57,12 +58,15 @@ def build_external_control(
         leader: of the scenario's own leader; None: there is none.
         starts: N.
         jsbsim: the vehicles with flight models.
+        companions: how companion computers that the run starts command the followers; None: it
+            starts none.
     """
     vehicles: list[VehicleControl] = []
     sessions: list[tuple[int, CommandSession]] = []
     for row, one in enumerate(fleet.aircraft):
         if jsbsim is None or not one.takes_commands:
             vehicles.append(_uncommandable(one))
+            vehicles[-1].companion = companions is not None
             continue
         tune, fleet_row = one.params, fleet.model_rows.index(row)
         source = one.section.commanded_by
@@ -84,13 +88,15 @@ def build_external_control(
             numbers = items_of_segments(flight_params)
             plan = ItemFlightPlan(own.plan, numbers, (flight_params.airspeed,) * len(numbers))
             mission = (plan, items_from_mission(flight_params, config.origin), own)
+        external = source if isinstance(source, External) else None
         session = AutopilotSession(
             one.name,
             config,
             tune,
             partial(jsbsim.retune, fleet_row),
-            external=source if isinstance(source, External) else None,
+            external=companions if companions is not None and row else external,
             mission=mission,
+            companion=companions is not None,
         )
         vehicles.append(session)
         sessions.append((row, session))

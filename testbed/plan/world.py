@@ -83,6 +83,7 @@ from testbed.scenario import (
     ScenarioText,
     SingleAircraft,
 )
+from testbed.scenario.aircraft import External
 from testbed.scenario.set_keys import KeyUse, read_all, recorded_reads, unused_keys
 from testbed.sensors.estimators import StateEstimators
 from testbed.vehicle.environment import describe_integrators
@@ -119,6 +120,7 @@ def build(
     records: RowRecords | None = None,
     arduplane: Path | None = None,
     processes: int | None = 1,
+    companions: External | None = None,
     unused: Unused = "refuse",
 ) -> World:
     """Build the world of a scenario.
@@ -132,6 +134,8 @@ def build(
         arduplane: the program for `autopilot: ardupilot` where the scenario names none; None: that
             of the environment.
         processes: that step JSBSim models; None: as many as are fastest on this machine.
+        companions: how companion computers that the run starts command the followers; None: it
+            starts none.
         unused: what to do with keys that the user has set and that no part of the flight uses.
 
     Raises:
@@ -139,12 +143,12 @@ def build(
             or a key has no effect; the message has what to write instead.
     """
     with recorded_reads(scenario, (FormationConfig,)) as reads:
-        world = _build(scenario, commanded, in_process, records, arduplane, processes)
+        world = _build(scenario, commanded, in_process, records, arduplane, processes, companions)
     found = unused_keys(scenario, scenario.set_keys, reads)
     uncut = scenario.set_keys.uncut
     if found and isinstance(uncut, Scenario):  # they may act with a fault that is left out
         with recorded_reads(uncut, (FormationConfig,)) as whole:
-            _build(uncut, commanded, in_process, None, arduplane, processes)
+            _build(uncut, commanded, in_process, None, arduplane, processes, companions)
         unread = {each.key.group for each in unused_keys(uncut, uncut.set_keys, whole)}
         found = [each for each in found if each.key.group in unread]
     use = KeyUse()
@@ -169,6 +173,7 @@ def _build(
     records: RowRecords | None,
     arduplane: Path | None,
     processes: int | None,
+    companions: External | None,
 ) -> World:
     """Build the world of a scenario; see `build`."""
     clock = build_clock(scenario)
@@ -229,7 +234,9 @@ def _build(
     if in_process:
         array = build_array_commands(fleet, jsbsim, commands)
     elif commanded or any(each.commanded_by.kind == "external" for each in scenario.aircraft):
-        external = build_external_control(fleet, clock, leader.controller, starts, jsbsim)
+        external = build_external_control(
+            fleet, clock, leader.controller, starts, jsbsim, companions
+        )
     estimators = _build_estimators(scenario, seed, faults)
 
     def make_of_seed(other: int) -> tuple[object, ...]:

@@ -35,6 +35,8 @@ class ExternalOptions:
         tlog: write run.tlog to the run directory.
         signing_key: 32 bytes; frames are signed with it, and others are rejected.
         arduplane: the program, where the scenario asks for ArduPlane and names none.
+        companions: fly every follower by a companion in a process of its own, which this run
+            starts and ends; in lockstep, or with a pace in real time.
         quiet: leave out messages about the ports of ArduPlanes.
         announce: receives messages to the user during the run: open ports, long waits.
 
@@ -47,6 +49,7 @@ class ExternalOptions:
     tlog: bool = False
     signing_key: bytes | None = None
     arduplane: Path | None = None
+    companions: bool = False
     quiet: bool = False
     announce: Callable[[str], None] = field(default=lambda text: None, repr=False)
 
@@ -58,7 +61,7 @@ class ExternalOptions:
         pace = to_plain("pace", self.pace)
         off = pace is None or (is_number(pace) and pace == 0)
         object.__setattr__(self, "pace", None if off else check_pace("pace", pace))
-        for name in ("tlog", "quiet"):
+        for name in ("tlog", "companions", "quiet"):
             check_argument(name, getattr(self, name), _OptionArguments, name)
         if self.signing_key is not None:
             check_key("signing_key", self.signing_key)
@@ -69,11 +72,12 @@ class ExternalOptions:
     @property
     def has_server(self) -> bool:
         """Whether the run has a MAVLink server."""
-        return bool(self.mavlink) or self.tlog
+        return bool(self.mavlink) or self.tlog or self.companions
 
 
 class _OptionArguments(Section):
     tlog: Flag = Field(description="Whether run.tlog is written.")
+    companions: Flag = Field(description="Whether companions are started.")
     quiet: Flag = Field(description="Whether messages about ports are left out.")
 
 
@@ -110,7 +114,7 @@ def check_links(options: ExternalOptions, scenario: Scenario, world: World) -> W
     Raises:
         InputError: lockstep waits for a program that has no link.
     """
-    if options.mavlink:
+    if options.mavlink or options.companions:
         return world
     sources = {
         e.name: e.commanded_by for e in scenario.aircraft if isinstance(e.commanded_by, External)
@@ -129,8 +133,15 @@ def check_links(options: ExternalOptions, scenario: Scenario, world: World) -> W
     return replace(world, initial_events=(*world.initial_events, *warnings))
 
 
-def make_server(options: ExternalOptions, world: World) -> MavlinkServer | None:
+def make_server(
+    options: ExternalOptions, world: World, epoch_us: int | None = None
+) -> MavlinkServer | None:
     """Open the MAVLink links of a run; None: it has none.
+
+    Args:
+        options: of the run.
+        world: that is flown.
+        epoch_us: Unix time of the start of the run, µs; None: now.
 
     Raises:
         InputError: a port is not available, or pymavlink is not installed.
@@ -149,7 +160,7 @@ def make_server(options: ExternalOptions, world: World) -> MavlinkServer | None:
         options.mavlink,
         world.external_control.vehicles,
         signing=Signing(key, time=signing_time(now), strict=True) if key else None,
-        epoch_us=round(now * 1e6),
+        epoch_us=round(now * 1e6) if epoch_us is None else epoch_us,
     )
 
 

@@ -37,6 +37,7 @@ from testbed.metrics.model import Metrics
 from testbed.metrics.observer import MetricsObserver
 from testbed.plan.resources import check_disk
 from testbed.plan.world import build
+from testbed.runs.companion_run import check_companions, commands_of, open_companions
 from testbed.runs.external_options import (
     NO_EXTERNAL,
     ExternalOptions,
@@ -220,11 +221,18 @@ def _fly(
     compiling = compiling_report(report)
     if report is not None:
         observers = [FlightProgress(report), *observers]
+    lockstep = not external.pace
     with reporting(compiling):
         world = build(
-            loaded, commanded=external.has_server, arduplane=external.arduplane, processes=processes
+            loaded,
+            commanded=external.has_server,
+            arduplane=external.arduplane,
+            processes=processes,
+            companions=commands_of(lockstep=lockstep) if external.companions else None,
         )
     world = check_links(external, loaded, world)
+    if external.companions:
+        check_companions(loaded, world)
     for process in world.external_processes:
         process.check()
     pacer = RealTimePacer(external.pace) if external.pace else None
@@ -236,9 +244,17 @@ def _fly(
     with stop_on_signals() as stop, ExitStack() as closing:
         if isinstance(world.fleet, ParallelFleet):
             closing.callback(world.fleet.close)
-        server = make_server(external, world)
+        companions = open_companions(external, world, closing)
+        if companions is not None:
+            external = companions.options
+        server = make_server(external, world, None if companions is None else companions.epoch_us)
         if server:
             closing.callback(server.close)
+        if companions is not None and server is not None:
+            server.attach(companions.hub)
+            stages = (companions.hub.stage(world), *stages)
+            closing.callback(stop.without_interruption, companions.processes.close)
+            companions.processes.start(world.info.scenario_yaml, world.info.code)
         for line in announcements(external, loaded):
             external.announce(line)
         directory = open_run_directory(loaded, world, folder) if write else None
@@ -248,6 +264,8 @@ def _fly(
         meter = MetricsObserver(published=loaded.published, stop_at=stop_bounds(loaded))
         log = [McapRecorder(directory / LOG_NAME)] if directory and loaded.log.mcap else []
         all_observers: list[Observer] = [meter, *log, *observers, *([server] if server else [])]
+        if companions is not None:
+            all_observers.append(companions.hub)
         flight = Flight(world, all_observers, stages)
         with suppress(RunStopped):  # the flight then ends before its first tick
             flight.prepare(compiling, stop.check)
@@ -288,6 +306,8 @@ def _fly(
                 for process in world.external_processes:
                     closing.callback(stop.without_interruption, process.close)
                     process.start(stop.check, *([] if external.quiet else [external.announce]))
+                if companions is not None:
+                    companions.processes.wait(stop.check)
                 gate = TickGate(world.external_control, server, pacer, stop, external.announce)
                 outcome = flight.fly(gate)
             except RunStopped:
