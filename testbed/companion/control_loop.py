@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import select
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
@@ -167,6 +168,8 @@ class CompanionLoop:
         self._texts = StatusTexts()
         self._target = {"target_system": system, "target_component": 1}
         self.boot_s, self.command = -math.inf, False
+        self._base_ms: int | None = None  # of the times of messages
+        control.forget()
         self._sample_received_s = 0.0
         self._answer = b""  # to the newest sample
         self._broadcast = b""  # of the newest sample
@@ -176,11 +179,16 @@ class CompanionLoop:
         self._early: dict[int, tuple[PeerMessage, float]] = {}
         self._peers: dict[int, PeerObservation] = {}
         self._offsets = {name: ClockOffset() for name in names}
-        self._decided_s = -math.inf
+        self._decided_s = self._greeted_s = -math.inf
         self._decision = Decision(EngagementState.WAITING, False, None, (), ())
         self._heard = False
         self.error: Exception | None = None
         self.statistics = LoopStatistics([names[m] for m in control.used])
+
+    @property
+    def rejected(self) -> Counter[str]:
+        """Frames of the others that failed verification, by reason."""
+        return Counter[str](self._formation.rejected)
 
     @property
     def decision(self) -> Decision:
@@ -196,32 +204,42 @@ class CompanionLoop:
         Raises:
             ExternalProgramLost: the autopilot's device is gone.
         """
-        ends = self._links.autopilot, self._links.formation
-        greeted_s = -math.inf
         while True:
-            if not self._heard and time.monotonic() - greeted_s >= GREET_S:
-                greeted_s = time.monotonic()
-                self._greet()
-            full = [self._links.autopilot] if self._links.autopilot.has_output else []
-            ready, _, _ = select.select(ends, full, [], WAIT_S)
-            if full:
-                self._links.autopilot.flush()
-            if self._links.formation in ready:
-                self._read_formation()
-            if self._links.autopilot in ready:
-                self._read_autopilot()
-            now_s = time.monotonic()
-            if self._heard:
-                for frame in self._requests.due(self.state, now_s):
-                    self._send(frame)
-            self._answer_waiting()
-            for listener in self._listeners:
-                listener.alive(now_s)
             stopping = stop()
-            if stopping or now_s - self._decided_s >= DECIDE_S:
-                self._decide(now_s, stopping=stopping)
+            self.turn(stopping=stopping)
             if stopping and self._gate.may_end:
                 return
+
+    def turn(self, *, stopping: bool = False) -> None:
+        """Wait for what comes, at most 0.05 s, and handle it.
+
+        Args:
+            stopping: the process is to end, and the aircraft to be left.
+
+        Raises:
+            ExternalProgramLost: the autopilot's device is gone.
+        """
+        if not self._heard and time.monotonic() - self._greeted_s >= GREET_S:
+            self._greeted_s = time.monotonic()
+            self._greet()
+        ends = self._links.autopilot, self._links.formation
+        full = [self._links.autopilot] if self._links.autopilot.has_output else []
+        ready, _, _ = select.select(ends, full, [], WAIT_S)
+        if full:
+            self._links.autopilot.flush()
+        if self._links.formation in ready:
+            self._read_formation()
+        if self._links.autopilot in ready:
+            self._read_autopilot()
+        now_s = time.monotonic()
+        if self._heard:
+            for frame in self._requests.due(self.state, now_s):
+                self._send(frame)
+        self._answer_waiting()
+        for listener in self._listeners:
+            listener.alive(now_s)
+        if stopping or now_s - self._decided_s >= DECIDE_S:
+            self._decide(now_s, stopping=stopping)
 
     def _greet(self) -> None:
         """Tell a hub that this companion listens."""
@@ -233,18 +251,20 @@ class CompanionLoop:
 
     def _read_autopilot(self) -> None:
         datagrams = not self._links.stream
+        ended_s: float | None = None  # receipt of the end of a sample
         for data, stamp_ns in self._links.autopilot.receive(PIECES):
             now_s = time.monotonic()
             received_s = monotonic_of(stamp_ns, now_s)
             for message in self._autopilot.feed(data, datagram=datagrams):
                 if self.state.add(message, received_s):
-                    self._take_attitude(received_s)
+                    ended_s = received_s
                 elif message.name == "SYSTEM_TIME":
                     self._advance_signers()
                 elif message.name == "HEARTBEAT" and message.component == 1:
                     self._decided_s = -math.inf  # the mode may have changed
-            if not self._heard:
-                self._heard = True
+            self._heard = True
+        if ended_s is not None:  # of several that have waited, the newest alone is answered
+            self._take_attitude(ended_s)
 
     def _take_attitude(self, received_s: float) -> None:
         """Take the end of a sample."""
@@ -258,6 +278,9 @@ class CompanionLoop:
         if boot_s < self.boot_s:
             self._clock.restart()
             self._requests.restart()
+        if state.base_ms != self._base_ms:  # their times count from another moment
+            self._base_ms = state.base_ms
+            self.control.forget()
         for frame in self._requests.due(state, time.monotonic()):  # before a run goes on
             self._send(frame)
         self.boot_s, self._sample_received_s = boot_s, received_s
@@ -265,7 +288,7 @@ class CompanionLoop:
         self.statistics.samples += 1
         ahead_ms = state.boot_ms - state.position_ms
         self.control.take_own_state(state.own, ahead_ms * _MS if abs(ahead_ms) < 500 else 0.0)
-        while self._early and state.base_ms is not None:
+        while self._early and self._base_ms is not None:
             self._take_peer(*self._early.popitem()[1])
         self._send_message()
         self.command, self._answer, self._waiting = False, b"", self._lockstep
@@ -315,7 +338,7 @@ class CompanionLoop:
             self._take_peer(peer, received_s)
 
     def _take_peer(self, peer: PeerMessage, received_s: float) -> None:
-        base_ms = self.state.base_ms
+        base_ms = self._base_ms
         if base_ms is None:  # as of a message that was faster than the own first sample
             self._early[peer.row] = peer, received_s
             return

@@ -108,9 +108,7 @@ class FollowerControl:
         with registering():
             self.aircraft, self.followers = allocate(AIRCRAFT, n), allocate(FOLLOWER, n - 1)
             self.links = allocate(LINK, n - 1, n)
-            for field in (*Messages._fields, "measured_s"):
-                self.links[field] = np.nan
-            self.links["number"] = NO_MESSAGE
+            self.forget()
             self.built: BuiltControl = build_control(
                 self.plan, scenario.controller, clock, [(own,)] if self.row else []
             )
@@ -173,6 +171,12 @@ class FollowerControl:
         """(N,) of LINK: the newest message of each aircraft; of a leader without use."""
         found: Records = self.links[max(self.row - 1, 0)]
         return found
+
+    def forget(self) -> None:
+        """Forget all messages of others."""
+        for field in (*Messages._fields, "measured_s"):
+            self.links[field] = np.nan
+        self.links["number"] = NO_MESSAGE
 
     def take_own_state(self, own_state: Records, ahead_s: float = 0.0) -> None:
         """Decode the own state into `estimate`.
