@@ -46,7 +46,7 @@ DECIDE_S = 0.04  # between decisions without a new sample
 IGNORED_RATES = 7  # type_mask of SET_ATTITUDE_TARGET: attitude and thrust count
 GREET_S = 0.2  # between greetings of a hub, until the autopilot is heard
 ANSWERED_S = 1.0  # in lockstep: after this wall time a sample that waits is broadcast again
-_MS = 1e-3
+MS = 1000.0  # of a second; a division gives the digits of a run
 
 
 class Gate(Protocol):
@@ -258,8 +258,6 @@ class CompanionLoop:
             for message in self._autopilot.feed(data, datagram=datagrams):
                 if self.state.add(message, received_s):
                     ended_s = received_s
-                elif message.name == "SYSTEM_TIME":
-                    self._advance_signers()
                 elif message.name == "HEARTBEAT" and message.component == 1:
                     self._decided_s = -math.inf  # the mode may have changed
             self._heard = True
@@ -271,7 +269,7 @@ class CompanionLoop:
         state = self.state
         if state.boot_ms is None or not state.has_own_state:
             return
-        boot_s = state.boot_ms * _MS
+        boot_s = state.boot_ms / MS
         if boot_s == self.boot_s:  # a run repeats a sample that it waits for
             self._repeat()
             return
@@ -281,13 +279,14 @@ class CompanionLoop:
         if state.base_ms != self._base_ms:  # their times count from another moment
             self._base_ms = state.base_ms
             self.control.forget()
+        self._advance_signers()
         for frame in self._requests.due(state, time.monotonic()):  # before a run goes on
             self._send(frame)
         self.boot_s, self._sample_received_s = boot_s, received_s
         self._clock.add(boot_s, received_s)
         self.statistics.samples += 1
         ahead_ms = state.boot_ms - state.position_ms
-        self.control.take_own_state(state.own, ahead_ms * _MS if abs(ahead_ms) < 500 else 0.0)
+        self.control.take_own_state(state.own, ahead_ms / MS if abs(ahead_ms) < 500 else 0.0)
         while self._early and self._base_ms is not None:
             self._take_peer(*self._early.popitem()[1])
         self._send_message()
@@ -347,7 +346,7 @@ class CompanionLoop:
             boot_s = self.boot_s
         link = self.control.inbox[peer.row]
         if write_link(link, peer, base_ms, boot_s):
-            self._observe_peer(peer, (peer.timestamp_ms - base_ms) * _MS, boot_s, received_s)
+            self._observe_peer(peer, (peer.timestamp_ms - base_ms) / MS, boot_s, received_s)
 
     def _observe_peer(
         self, peer: PeerMessage, stamp_s: float, boot_s: float, received_s: float
@@ -470,11 +469,14 @@ class CompanionLoop:
             statistics.add_age(self._names[m], now - float(link["stamp_s"]))
 
     def _advance_signers(self) -> None:
-        """Let signatures have at least the GPS time: many computers have no clock of their own."""
-        base_ms, boot_ms = self.state.base_ms, self.state.boot_ms
-        if base_ms is None or boot_ms is None:
-            return
-        time_10us = signing_time((base_ms + boot_ms) * _MS)
+        """Let signatures have the time: the later one of the system and of GPS.
+
+        Many computers aboard start with a clock that is years late.
+        """
+        unix_s, base_ms = time.time(), self.state.base_ms
+        if base_ms is not None and self.state.boot_ms is not None:
+            unix_s = max(unix_s, (base_ms + self.state.boot_ms) / MS)
+        time_10us = signing_time(unix_s)
         for signer in (self._links.autopilot_signer, self._links.formation_signer):
             if signer is not None:
                 signer.advance(time_10us)
