@@ -93,6 +93,7 @@ bench: $(STAMP)
 	@$(BIN)/python benchmarks/arduplane.py
 	@$(BIN)/python benchmarks/stepping.py
 	@$(BIN)/python benchmarks/link.py
+	@$(BIN)/python benchmarks/companion.py --cold
 	@$(BIN)/python benchmarks/startup.py
 
 include paper/targets.mk

@@ -139,6 +139,7 @@ class CompanionLoop:
         listeners: Sequence[FlightListener] = (),
         *,
         lockstep: bool = False,
+        notices: Sequence[CompanionText] = (),
     ) -> None:
         """Prepare; nothing is sent before `run`.
 
@@ -149,9 +150,11 @@ class CompanionLoop:
             page: digest of the page.
             listeners: take what happens.
             lockstep: a step waits for the messages of its sample, and a run waits for the command.
+            notices: told once, with the first sample.
         """
         self.control, self._links, self._gate, self._page = control, links, gate, page
         self._listeners, self._lockstep = tuple(listeners), lockstep
+        self._notices = list(notices)
         row, names = control.row, control.plan.names
         self._names = names
         system = row + 1
@@ -168,6 +171,7 @@ class CompanionLoop:
         self._texts = StatusTexts()
         self._target = {"target_system": system, "target_component": 1}
         self.boot_s, self.command = -math.inf, False
+        self._digested, self._joined = -1, 0  # parameters, and `custom_state` of them
         self._base_ms: int | None = None  # of the times of messages
         control.forget()
         self._sample_received_s = 0.0
@@ -181,7 +185,7 @@ class CompanionLoop:
         self._offsets = {name: ClockOffset() for name in names}
         self._decided_s = self._greeted_s = -math.inf
         self._decision = Decision(EngagementState.WAITING, False, None, (), ())
-        self._heard = False
+        self._heard, self._told_system = False, 0
         self.error: Exception | None = None
         self.statistics = LoopStatistics([names[m] for m in control.used])
 
@@ -260,9 +264,21 @@ class CompanionLoop:
                     ended_s = received_s
                 elif message.name == "HEARTBEAT" and message.component == 1:
                     self._decided_s = -math.inf  # the mode may have changed
+                    self._check_system()
             self._heard = True
         if ended_s is not None:  # of several that have waited, the newest alone is answered
             self._take_attitude(ended_s)
+
+    def _check_system(self) -> None:
+        """Tell once that another aircraft's autopilot is at the link, and the own one is not."""
+        other = self.state.other_system
+        if not other or self.state.mode is not None or self._told_system == other:
+            return
+        self._told_system = other
+        own = self.control.row + 1
+        self.say(
+            CompanionText(Severity.ERROR, f"autopilot has system id {other}, {own} is expected")
+        )
 
     def _take_attitude(self, received_s: float) -> None:
         """Take the end of a sample."""
@@ -291,6 +307,8 @@ class CompanionLoop:
             self._take_peer(*self._early.popitem()[1])
         self._send_message()
         self.command, self._answer, self._waiting = False, b"", self._lockstep
+        while self._notices:
+            self.say(self._notices.pop(0))
         if not self._lockstep:
             self._read_formation()
             self._decide(time.monotonic())
@@ -316,7 +334,12 @@ class CompanionLoop:
         self._links.formation.send(self._broadcast)
 
     def _digests(self) -> int:
-        return join_digests(self._page, parameter_digest(self.state.parameters))
+        read = self.state.counts.get("PARAM_VALUE", 0)
+        if read != self._digested:  # parameters that have come since
+            self._digested = read
+            parameters = parameter_digest(self.state.parameters)
+            self._joined = join_digests(self._page, parameters)
+        return self._joined
 
     def _read_formation(self) -> None:
         for data, stamp_ns in self._links.formation.receive():

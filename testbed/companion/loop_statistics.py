@@ -5,11 +5,16 @@ from __future__ import annotations
 import resource
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
+from testbed.core.errors import InputError
+from testbed.core.input_files import read_bounded
 from testbed.link.message_counts import Durations
 
 _KB = 1024
+_STATUS, _STATUS_BYTES = Path("/proc/self/status"), 1 << 16
 
 
 class LoopStatistics:
@@ -61,5 +66,17 @@ class LoopStatistics:
             "ready_cpu_s": self.ready_cpu_s,
             "first_command_cpu_s": self.first_command_cpu_s,
             "processor_share": used / elapsed if elapsed > 0.0 else None,
-            "peak_memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / _KB,
+            "peak_memory_mb": peak_memory_mb(),
         }
+
+
+def peak_memory_mb() -> float:
+    """Return the most memory that this program has had, MB.
+
+    The system's count for a process would have that of the program which started it, too.
+    """
+    with suppress(OSError, InputError, ValueError):
+        for line in read_bounded(_STATUS, _STATUS_BYTES).decode().splitlines():
+            if line.startswith("VmHWM:"):
+                return int(line.split()[1]) / _KB
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / _KB

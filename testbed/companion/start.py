@@ -18,19 +18,21 @@ from testbed.companion.control_loop import (
     FlightListener,
     Gate,
 )
-from testbed.companion.engagement import Engagement, LeaveMode
+from testbed.companion.engagement import CompanionText, Engagement, LeaveMode
 from testbed.companion.follower_control import FollowerControl
 from testbed.companion.formation_link import FormationAddress, FormationLink
 from testbed.companion.page_digest import AGREED_PARAMETERS, page_digest
 from testbed.core.errors import InputError
 from testbed.core.input_files import MAX_TABLE_BYTES, read_bounded
 from testbed.link.ends import EndAddress, open_end
+from testbed.mavlink.outgoing import Severity
 from testbed.mavlink.signing import MessageSigner, Signing, signing_time
 from testbed.plan.fleet import FormationPlan
 from testbed.plan.scenario_files import referenced_files, referents
 from testbed.pool.scenario_snapshot import snapshot
 from testbed.scenario import Scenario
 
+UNSIGNED = CompanionText(Severity.WARNING, "formation is unsigned: anyone can fly it")
 _AUTOPILOT_LINK, _FORMATION_LINK = 0, 1  # link ids of signatures
 
 
@@ -183,4 +185,5 @@ def open_companion(
             digest_of(scenario, folder),
             listeners,
             lockstep=options.lockstep,
+            notices=[UNSIGNED] if options.reaches_aircraft and options.key is None else (),
         )
