@@ -107,8 +107,8 @@ Check = Callable[[Case], str]
 class Ending(Enum):
     """What an aircraft does after an engagement has ended; the values are for the documentation."""
 
-    ASKS_MODE = "asked for LOITER or RTL, as `--leave` says, if GUIDED is on by a fresh HEARTBEAT"
-    HOLDS = "holds its last attitude up to 3 s, then circles where GUIDED was entered"
+    ASKS_MODE = "LOITER or RTL"
+    HOLDS = "no mode is asked for: holds, then circles where GUIDED was entered"
     PILOT = "flies in the mode that was chosen"
     NONE = "–"
 

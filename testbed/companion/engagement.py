@@ -176,7 +176,7 @@ class Engagement:
     def _waiting(self, now_s: float, found: dict[Reason, str]) -> list[CompanionText]:
         """Tell why it waits: each reason once, until another is the first."""
         first = next(iter(found), None)
-        if first is None or first is self._told or now_s - self._told_s < TEXT_EVERY_S:
+        if first in (None, Reason.STOPPING, self._told) or now_s - self._told_s < TEXT_EVERY_S:
             return []
         self._told, self._told_s = first, now_s
         return [CompanionText(Severity.WARNING, f"formation waits: {found[first]}")]

@@ -38,7 +38,7 @@ class FlightFence(Section):
 
 
 class CompanionFlight(Section):
-    """Bounds beyond which `testbed companion` does not engage, or leaves the formation."""
+    """Bounds beyond which the command companion does not engage, or leaves the formation."""
 
     state_age_s: Seconds = Field(
         1.0,

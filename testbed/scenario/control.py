@@ -323,7 +323,7 @@ class Companion(Section):
     )
     flight: CompanionFlight = Field(
         CompanionFlight(),
-        description="Bounds of `testbed companion` on an aircraft; without effect in a run.",
+        description="Bounds of the command companion on an aircraft; without effect in a run.",
     )
 
 
