@@ -61,7 +61,7 @@ def test_page_says_first_what_was_never_flown():
     assert "safety pilot" in flat and "rules of the place" in flat
 
 
-def test_times_and_texts_of_the_page_are_those_of_the_code():
+def test_times_and_texts_of_the_page_are_true():
     flat = " ".join(PAGE.read_text(encoding="utf-8").split())
     assert f"at most {FRESH_MODE_S:g} s shows" in flat and f"within {ASKING_S:g} s, once" in flat
     assert CompanionText(Severity.INFO, "formation ready: GUIDED engages it").text in flat

@@ -31,6 +31,6 @@ def test_page_is_warned_of_what_costs_metres(settings, keys):
     assert warned(*settings) == keys
 
 
-def test_timeout_of_neighbours_that_none_uses_is_silent():
+def test_timeout_of_unused_neighbours_is_no_warning():
     alone = "formation.neighbour_gains={}"
     assert warned(alone, "controller.neighbour_timeout_s=5") == []
