@@ -179,6 +179,12 @@ PARTS = (
         parallel=False,
     ),
     Part(
+        "flights by companions in processes of their own against the same in one process",
+        "160 s of Simulation 3",
+        "TESTBED_COMPANIONS=1 pytest tests/runs/contract/test_run_companions.py",
+        parallel=False,
+    ),
+    Part(
         "a link between programs: packets as in a channel and a flight, noise, ground stations",
         "10,000 packets",
         "TESTBED_LINK_PACKETS=10000 TESTBED_LINK_NOISE=10000 TESTBED_BAD_LINKS=1 pytest tests/link "

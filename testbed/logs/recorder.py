@@ -72,7 +72,8 @@ class McapRecorder(BlockObserver):
         additions: Further messages in order of time, written with the samples of these ticks.
         live: A flight, which may be killed; False: a copy of a log, which needs no tail.
         flush_s: Wall time, at most, between writes of chunks or the tail, which encode all samples
-            since the last chunk again; None: `FLUSH_S`.
+            since the last chunk again, where samples arrive; None: `FLUSH_S`, by a thread also
+            where none does.
 
     Raises:
         LogError: From all methods: the file cannot be written, or was removed or moved.
@@ -112,7 +113,7 @@ class McapRecorder(BlockObserver):
         self._tail: tuple[int, int] = (0, 0)  # number of samples and events in it
         self._flushed = time.monotonic()
         self._file = file
-        if self._live:
+        if self._live and self._own_flush_s is None:
             threading.Thread(target=self._flush_loop, name="log-clock", daemon=True).start()
 
     def add_events(self, events: Sequence[Event]) -> None:

@@ -66,8 +66,13 @@ def attitude_quaternion(context: VehicleContext, snapshot: TelemetrySnapshot) ->
 
 
 def local_position_ned(context: VehicleContext, snapshot: TelemetrySnapshot) -> Fields:
-    """LOCAL_POSITION_NED, relative to the scenario's origin."""
-    x, y, z = snapshot.position_ned[context.row]
+    """LOCAL_POSITION_NED, relative to the origin of the autopilot."""
+    x, y, z = (
+        position - origin
+        for position, origin in zip(
+            snapshot.position_ned[context.row], context.control.local_origin_ned, strict=True
+        )
+    )
     vx, vy, vz = snapshot.velocity_ned[context.row]
     return {"time_boot_ms": snapshot.boot_ms, "x": x, "y": y, "z": z, "vx": vx, "vy": vy, "vz": vz}
 

@@ -7,8 +7,11 @@ from __future__ import annotations
 
 import functools
 import re
+from collections.abc import Sequence
 
-from testbed.core.geodetic import longitude_e7, origin_geodetic
+import numpy as np
+
+from testbed.core.geodetic import geodetic_from_ned, longitude_e7, origin_geodetic
 from testbed.mavlink.codec import constant
 from testbed.mavlink.outgoing import Fields
 from testbed.mavlink.telemetry_snapshot import I32, U16, TelemetrySnapshot, to_integer
@@ -135,7 +138,9 @@ def home_position(context: VehicleContext, snapshot: TelemetrySnapshot) -> Field
 
 def gps_global_origin(context: VehicleContext, snapshot: TelemetrySnapshot) -> Fields:
     """GPS_GLOBAL_ORIGIN: the origin of LOCAL_POSITION_NED."""
-    return {**_origin(context), "time_usec": _boot_us(snapshot)}
+    local = np.array(context.control.local_origin_ned)
+    place = geodetic_from_ned(local, context.origin).tolist() if local.any() else None
+    return {**_origin(context, place), "time_usec": _boot_us(snapshot)}
 
 
 def mission_current(context: VehicleContext, snapshot: TelemetrySnapshot) -> Fields:
@@ -214,8 +219,9 @@ def _sensors(names: tuple[str, ...]) -> int:
     return bits
 
 
-def _origin(context: VehicleContext) -> Fields:
-    latitude, longitude, elevation = origin_geodetic(context.origin)
+def _origin(context: VehicleContext, place: Sequence[float] | None = None) -> Fields:
+    """Return the fields of a place; None: of the scenario's origin."""
+    latitude, longitude, elevation = origin_geodetic(context.origin) if place is None else place
     return {
         "latitude": to_integer(latitude * 1e7, I32),
         "longitude": to_integer(longitude_e7(longitude), I32),

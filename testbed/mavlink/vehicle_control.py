@@ -65,6 +65,7 @@ class VehicleControl:
         external: whether the scenario has an external program command it.
         lockstep: whether the run waits for its commands, so that every sample must be sent.
         companion: whether the run has started a companion computer that reads its state.
+        local_origin_ned: from which LOCAL_POSITION_NED counts, m from the scenario's origin.
         parameters: by ArduPlane's names, in a fixed order; empty without a virtual autopilot.
         mission: the items that AUTO flies, home as item 0; empty: none.
         current_item: the mission item that AUTO flies or resumes with.
@@ -77,6 +78,7 @@ class VehicleControl:
     external = False
     lockstep = False
     companion = False
+    local_origin_ned: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __init__(self, name: str, mode: FlightMode, reason: str) -> None:
         """Reject all commands for this reason."""

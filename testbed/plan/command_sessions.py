@@ -66,7 +66,6 @@ def build_external_control(
     for row, one in enumerate(fleet.aircraft):
         if jsbsim is None or not one.takes_commands:
             vehicles.append(_uncommandable(one))
-            vehicles[-1].companion = companions is not None
             continue
         tune, fleet_row = one.params, fleet.model_rows.index(row)
         source = one.section.commanded_by
@@ -100,6 +99,12 @@ def build_external_control(
         )
         vehicles.append(session)
         sessions.append((row, session))
+    if companions is not None:
+        for vehicle, start in zip(vehicles, starts, strict=True):
+            vehicle.companion = True
+            # as of autopilots that were switched on below their starts
+            north, east, _ = start.position_ned
+            vehicle.local_origin_ned = float(north), float(east), 0.0
     return ExternalControl(vehicles, sessions)
 
 

@@ -20,6 +20,8 @@ from testbed.core.records import Event
 from testbed.mavlink.udp_endpoint import LOOPBACK, Address, Endpoint
 from testbed.runs.companion_hub import CompanionHub
 
+# without the current folder among those of modules
+PROGRAM = (sys.executable, "-P", "-m", "testbed")
 SCENARIO = "scenario.yaml"
 START_S = 180.0  # until all listen; where nothing is compiled yet, it takes most of a minute
 _GRACE_S = 3.0  # from SIGTERM to SIGKILL
@@ -92,7 +94,9 @@ class _Process:
 class CompanionProcesses:
     """The companions of all aircraft of a run."""
 
-    def __init__(self, names: Sequence[str], hub: CompanionHub, first_port: int, *, lockstep: bool):
+    def __init__(
+        self, names: Sequence[str], hub: CompanionHub, first_port: int, *, lockstep: bool
+    ) -> None:
         """Start nothing yet.
 
         Args:
@@ -120,8 +124,8 @@ class CompanionProcesses:
             (folder / name).write_bytes(content)
         mode = "--lockstep" if self._lockstep else "--at-once"
         for row, name in enumerate(self._names):
-            command = [sys.executable, "-m", "testbed", "companion", str(folder / SCENARIO)]
-            command += ["--as", name, "--autopilot", f"udpin:{LOOPBACK}:{self._port + row}"]
+            command = [*PROGRAM, "companion", str(folder / SCENARIO), "--as", name]
+            command += ["--autopilot", f"udpin:{LOOPBACK}:{self._port + row}"]
             command += ["--formation", self._hub.address, mode, "--no-log", "--quiet"]
             log = folder / f"{row}.log"
             with log.open("wb") as output:

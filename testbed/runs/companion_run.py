@@ -38,6 +38,10 @@ def check_companions(scenario: Scenario, world: World) -> None:
             "controller.companion.link: direct has every digit, which messages do not carry (write "
             "--set controller.companion.link=mavlink --set network.encoding=follow-target)"
         )
+    elif outside := [e.name for e in scenario.aircraft if isinstance(e.commanded_by, External)]:
+        problem = (
+            f"{', '.join(outside)}: commanded_by: external is another program's (leave it out)"
+        )
     elif companion.state_latency_s or companion.command_latency_s:
         problem = (
             "controller.companion: its latencies are those of the processes (write "
@@ -48,7 +52,9 @@ def check_companions(scenario: Scenario, world: World) -> None:
             f"rates.log_hz: companions step once for each sample (write {rates.control_hz}, as "
             "rates.control_hz)"
         )
-    elif arduplanes := [e.name for e in scenario.aircraft if isinstance(e.autopilot, ArduPlane)]:
+    elif arduplanes := [
+        each.name for each in scenario.aircraft if isinstance(each.autopilot, ArduPlane)
+    ]:
         problem = (
             f"{', '.join(arduplanes)}: is flown by ArduPlane, which a companion commands at "
             "ArduPlane's own port (write autopilot: virtual)"
@@ -98,10 +104,14 @@ def open_companions(
         closing: closes what is opened.
 
     Raises:
-        InputError: no ports are free.
+        InputError: no ports are free, or links are to be signed.
     """
     if not options.companions:
         return None
+    if options.signing_key is not None:
+        raise InputError(
+            "--companions: links to companions of a run are not signed (leave out --mavlink-key)"
+        )
     # of whole ms, as times in messages are
     epoch_us = 1000 * round(1e3 * time.time())
     port = free_ports(len(world.names))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from run_flight import Collector, fly_with_recorder, recorder, short
 
+import testbed
 from testbed.core.errors import InputError
 from testbed.core.frames import euler_from_quaternion
 from testbed.flight.loop import fly
@@ -164,3 +165,20 @@ network: {encoding: follow-target}
     )
     with pytest.raises(InputError, match=r"uav1: an ideal vehicle has no autopilot \(write"):
         build(scenario)
+
+
+def test_simulation_steps_the_same_flight(linked):
+    """Step by step, and again from a saved state."""
+    _, frames = linked
+    scenario = short(LINK, ENCODED, seconds=SECONDS)
+    with testbed.Simulation(scenario) as simulation:
+        for _ in range(20):
+            simulation.step()
+        saved = simulation.save()
+        for _ in range(2):
+            simulation.restore(saved)
+            for _ in range(20):
+                sample = simulation.step()
+            assert sample.time_s == 0.8
+            expected = frames[20].truth.position_ned
+            np.testing.assert_array_equal(sample.truth.position_ned, expected)

@@ -1,0 +1,216 @@
+"""Runs whose followers are flown by companions in processes of their own."""
+
+import os
+import signal
+import sys
+import textwrap
+import time
+
+import numpy as np
+import pytest
+from run_flight import Collector, short
+from waiting import TIMEOUT_S
+
+from testbed.core.errors import ExternalProgramLost, InputError
+from testbed.plan.world import build
+from testbed.runs import companion_processes
+from testbed.runs import run as module
+from testbed.runs.companion_run import check_companions
+from testbed.runs.external_options import ExternalOptions
+from testbed.runs.run import run
+
+LONG = "TESTBED_COMPANIONS" in os.environ
+SECONDS = 160.0 if LONG else 3.0
+MAVLINK = ("controller.companion.link=mavlink", "network.encoding=follow-target")
+LOSSY = (
+    *("network.delay_s=0.05", "network.jitter={spread_s: 0.03}"),
+    *("network.loss=0.2", "network.duplicate=0.1"),
+)
+LOCKSTEP = ExternalOptions(companions=True)
+APART_M = (100.0, -100.0, 5.0)  # of the local origins of neighbouring rows
+
+
+def scenario(*changes, seconds=SECONDS):
+    return short(*MAVLINK, *changes, seconds=seconds)
+
+
+def flown(flight, external=None, **options):
+    """Return the run and its samples."""
+    collector = Collector()
+    given = {} if external is None else {"external": external}
+    return run(flight, write=False, observers=[collector], **given, **options), collector.frames
+
+
+def numbers(frames):
+    """Return positions, commands and errors (T, …) of all samples."""
+    position = [frame.truth.position_ned for frame in frames]
+    command = [np.stack(frame.command) for frame in frames]
+    error = [frame.formation.error_ned for frame in frames]
+    return np.array(position), np.array(command), np.array(error)
+
+
+@pytest.fixture(scope="module")
+def in_process():
+    return flown(scenario(*LOSSY))
+
+
+@pytest.fixture
+def own_origins(monkeypatch):
+    """Give each autopilot another origin of its local frame."""
+
+    def build_apart(*given, **named):
+        world = build(*given, **named)
+        for row, vehicle in enumerate(world.external_control.vehicles):
+            vehicle.local_origin_ned = tuple(row * each for each in APART_M)
+        return world
+
+    monkeypatch.setattr(module, "build", build_apart)
+
+
+def test_lockstep_is_the_flight_in_process(in_process, own_origins):
+    """To the bit, through a bad network, with another local origin on each aircraft."""
+    expected, frames = in_process
+    found, others = flown(scenario(*LOSSY), LOCKSTEP)
+    for one, other in zip(numbers(frames), numbers(others), strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert found.metrics["network"] == expected.metrics["network"]
+    # each sample but the last is answered
+    counts = [found.metrics["commanded"][name]["commands"] for name in ("uav1", "uav2", "uav3")]
+    assert counts == [len(frames) - 1] * 3
+    assert "commanded" not in expected.metrics
+    links = frames[-1].links
+    assert (links.delivered < links.sent).any()
+
+
+LOCAL_POSITION = """
+    import sys
+
+    import numpy as np
+    from testbed.companion import autopilot_state
+    from testbed.core.geodetic import geodetic_from_ned, longitude_e7
+    from testbed.core.records import NedOrigin
+
+    State = autopilot_state.AutopilotState
+    velocity = State._local
+
+    def local(self, fields):
+        velocity(self, fields)
+        ned = np.array([fields[name] for name in "xyz"])
+        latitude, longitude, height = geodetic_from_ned(ned, NedOrigin()).tolist()
+        own = self.own[0]
+        own["lat"], own["lon"] = round(latitude * 1e7), int(longitude_e7(longitude))
+        own["alt"] = round(height * 1e3)
+
+    State._local = local
+    from testbed.cli.main import main
+
+    main()
+"""
+
+
+def test_local_positions_fly_another_formation(in_process, own_origins, tmp_path, monkeypatch):
+    """Negative control: companions that take LOCAL_POSITION_NED leave their slots."""
+    file = tmp_path / "local.py"
+    file.write_text(textwrap.dedent(LOCAL_POSITION))
+    monkeypatch.setattr(companion_processes, "PROGRAM", (sys.executable, str(file)))
+    _, others = flown(scenario(*LOSSY), LOCKSTEP)
+    right, wrong = (numbers(frames)[2][-1] for frames in (in_process[1], others))
+    apart = np.linalg.norm(wrong - right, axis=1)
+    assert (apart > (50.0 if LONG else 0.5)).all()
+
+
+@pytest.fixture
+def started(monkeypatch):
+    """Return the companions that a run has started."""
+    found = []
+    start = companion_processes.CompanionProcesses.start
+
+    def noted(self, *given):
+        start(self, *given)
+        found.extend(self._processes)
+
+    monkeypatch.setattr(companion_processes.CompanionProcesses, "start", noted)
+    return found
+
+
+class Killer:
+    """Kills the companion of uav2 after one second of flight."""
+
+    def __init__(self, started):
+        self._started, self.killed_s = started, None
+
+    def begin(self, info):
+        """Nothing is needed."""
+
+    def observe(self, sample):
+        if sample.time_s >= 1.0 and self.killed_s is None:
+            self.killed_s = sample.time_s
+            os.killpg(self._started[2].child.pid, signal.SIGKILL)
+
+    def end(self, summary, events):
+        """Nothing is left."""
+
+
+def ended(processes):
+    """Return whether all processes and their groups have ended."""
+    until = time.monotonic() + TIMEOUT_S
+    while time.monotonic() < until:
+        try:
+            for each in processes:
+                os.killpg(each.child.pid, 0)
+        except ProcessLookupError:
+            return all(each.child.returncode is not None for each in processes)
+        time.sleep(0.02)
+    return False
+
+
+def test_dead_companion_ends_a_run_in_lockstep(started):
+    """With the reason; the others are ended, too."""
+    killer = Killer(started)
+    with pytest.raises(ExternalProgramLost, match="uav2: its companion was ended by signal 9"):
+        run(scenario(seconds=20.0), write=False, observers=[killer], external=LOCKSTEP)
+    assert killer.killed_s == pytest.approx(1.0)
+    assert len(started) == 4
+    assert ended(started)
+
+
+def test_companion_that_cannot_start_says_why(started):
+    """As where its own scenario is refused."""
+    changes = ("controller.companion.link=mavlink",)
+    with pytest.raises(InputError, match=r"write network\.encoding: follow-target"):
+        run(short(*changes, seconds=1.0), write=False, external=LOCKSTEP)
+    assert started == []
+
+
+def test_dead_companion_is_a_warning_in_real_time(started):
+    """Its aircraft circles after the failsafe; the flight goes on."""
+    killer, paced = Killer(started), ExternalOptions(companions=True, pace=1.0)
+    collector = Collector()
+    result = run(scenario(seconds=6.0), write=False, observers=[collector, killer], external=paced)
+    frames = collector.frames
+    assert result.outcome == "completed"
+    texts = [(each.source, each.text) for frame in frames for each in frame.events]
+    assert ("uav2", "its companion was ended by signal 9") in texts
+    assert ("uav2", "receives no commands for 3 s: circles its position") in texts
+    guided = np.array([frame.records[0]["guided"].copy() for frame in frames])
+    assert guided[:, [1, 3]].all() and not guided[-1, 2]
+    assert result.metrics["commanded"]["uav1"]["commands"] > 100
+    assert ended(started)
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ((), "controller.companion.link: direct has every digit"),
+        ((*MAVLINK, "rates.log_hz=5"), "rates.log_hz: companions step once for each sample"),
+        ((*MAVLINK, "controller.companion.command_latency_s=0.1"), "its latencies are those of"),
+        ((*MAVLINK, "network.clocks.uav1.offset_s=0.1"), "network.clocks: companions stamp"),
+        ((*MAVLINK, "network.corrupt=0.1"), "network.corrupt: the frames of companions pass"),
+    ],
+)
+def test_what_companions_cannot_fly_is_refused(changes, text):
+    flight = short(*changes, seconds=1.0)
+    with pytest.raises(InputError) as caught:
+        check_companions(flight, build(flight))
+    assert str(caught.value).startswith("--companions: ")
+    assert text in str(caught.value)
