@@ -161,7 +161,7 @@ class CompanionLoop:
         self._autopilot = Codec(system, COMPONENT, links.autopilot_signer)
         self._formation = Codec(system, COMPONENT, links.formation_signer)
         self.state, self._clock = AutopilotState(system), BootClock()
-        streams = OWN_STATE_MESSAGES
+        streams: tuple[str, ...] = OWN_STATE_MESSAGES
         if control.acceleration == IMU:
             streams = IMU_MESSAGE, *streams
         self._requests = AutopilotRequests(

@@ -17,7 +17,7 @@ from testbed.flight.companion import Companions
 from testbed.flight.own_state import (
     ATTITUDE_TARGET,
     OWN_STATE,
-    CommandLimits,
+    AttitudeLimits,
     decode_attitude_target,
     decode_own_state,
     encode_attitude_target,
@@ -33,7 +33,7 @@ class LinkedAutopilots(NamedTuple):
 
     frame: LocalFrame  # of the scenario's origin, in degrees
     acceleration: int  # source of the own one: own_state.VELOCITY or IMU
-    limits: CommandLimits  # (N,) of the angles that they take
+    limits: AttitudeLimits  # (N,) of the angles that they take
     trims: Array  # (N, 3) pitch, roll, rad, and throttle that they fly until the first command
 
 
@@ -104,7 +104,7 @@ def _send_targets(
     times_s: Array,
     newest: Indices,
     targets: Records,
-    limits: CommandLimits,
+    limits: AttitudeLimits,
     rows: Indices,
     now: float,
 ) -> None:

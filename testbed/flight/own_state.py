@@ -52,7 +52,7 @@ OWN_STATE = np.dtype(
 ATTITUDE_TARGET = np.dtype([("q", "f4", (4,)), ("thrust", "f4")], align=True)  # q is w, x, y, z
 
 
-class CommandLimits(NamedTuple):
+class AttitudeLimits(NamedTuple):
     """Limits (N,) of the angles that autopilots take from an attitude target, rad."""
 
     roll: Array
@@ -200,7 +200,7 @@ def encode_attitude_target(control: Record, target: Record) -> None:
 
 
 @kernel
-def decode_attitude_target(target: Record, limits: CommandLimits, row: int) -> Values:
+def decode_attitude_target(target: Record, limits: AttitudeLimits, row: int) -> Values:
     """Return pitch and roll, rad, and throttle that an autopilot takes from an attitude target.
 
     Args:

@@ -16,7 +16,7 @@ from testbed.mavlink.signing import MessageSigner, Signing, signing_time
 from testbed.mavlink.telemetry_messages import ATTITUDE
 from testbed.mavlink.telemetry_snapshot import TelemetrySnapshot
 from testbed.mavlink.tlog import TlogWriter
-from testbed.mavlink.udp_endpoint import Address, Endpoint, Peer, link_addresses, wait
+from testbed.mavlink.udp_endpoint import Address, Endpoint, HasFileno, Peer, link_addresses, wait
 from testbed.mavlink.vehicle import COMPONENT, MavlinkVehicle
 from testbed.mavlink.vehicle_control import VehicleControl
 
@@ -224,7 +224,7 @@ class MavlinkServer:
             seconds: of wall-clock time.
             now_s: simulation time, s.
         """
-        endpoints = [*(link.endpoint for link in self._links), *self._attached]
+        endpoints: list[HasFileno] = [*(link.endpoint for link in self._links), *self._attached]
         stop = self._clock() + seconds
         while not self.poll(now_s):
             remaining = stop - self._clock()

@@ -13,7 +13,7 @@ from testbed.core.geodetic import local_frame
 from testbed.core.records import Array, Records
 from testbed.flight.companion import Companions
 from testbed.flight.companion_link import LinkedAutopilots, MavlinkCompanions
-from testbed.flight.own_state import IMU, VELOCITY, CommandLimits
+from testbed.flight.own_state import IMU, VELOCITY, AttitudeLimits
 from testbed.flight.schedule import Clock
 from testbed.flight.vehicles import JsbsimVehicles
 from testbed.plan.command_sessions import trimmed_command
@@ -80,7 +80,7 @@ def _link_problems(scenario: Scenario, fleet: FormationPlan, clock: Clock) -> It
         )
 
 
-def _command_limits(fleet: FormationPlan) -> CommandLimits:
+def _command_limits(fleet: FormationPlan) -> AttitudeLimits:
     """Return the limits (N,) of the angles that autopilots take from an attitude target."""
     params = [each.params for each in fleet.aircraft]
     degrees = (
@@ -89,7 +89,7 @@ def _command_limits(fleet: FormationPlan) -> CommandLimits:
         [each.ptch_lim_min_deg for each in params],
     )
     angles = np.array([[math.radians(one) for one in each] for each in degrees])
-    return CommandLimits(*np.clip(angles, -MANUAL_ANGLE_LIMIT, MANUAL_ANGLE_LIMIT))
+    return AttitudeLimits(*np.clip(angles, -MANUAL_ANGLE_LIMIT, MANUAL_ANGLE_LIMIT))
 
 
 def _trims(fleet: FormationPlan, jsbsim: JsbsimVehicles | None) -> Array:

@@ -173,7 +173,7 @@ def _build(
     records: RowRecords | None,
     arduplane: Path | None,
     processes: int | None,
-    companions: External | None,
+    by_companions: External | None,
 ) -> World:
     """Build the world of a scenario; see `build`."""
     clock = build_clock(scenario)
@@ -235,7 +235,7 @@ def _build(
         array = build_array_commands(fleet, jsbsim, commands)
     elif commanded or any(each.commanded_by.kind == "external" for each in scenario.aircraft):
         external = build_external_control(
-            fleet, clock, leader.controller, starts, jsbsim, companions
+            fleet, clock, leader.controller, starts, jsbsim, by_companions
         )
     estimators = _build_estimators(scenario, seed, faults)
 

@@ -214,6 +214,7 @@ OPENING = {
     "fmi.archive": "new files in a temporary folder of its own",
     "studies.journal": "checks that it is a regular file; opened to write, a pipe does not block",
     "ardupilot.sitl_process": "files in a temporary folder of its own",
+    "runs.companion_processes": "files in a temporary folder of its own",
     "airframes.forked_trial": "a pipe to its own child, and the null device",
     "views.feeder_process": "the null device",
     "views.viewer": "a table of the kernel",
@@ -321,6 +322,7 @@ RUNS_CODE = {
         "core.child_guard",  # the command that its starter gives it
         "ardupilot.sitl_process",  # ArduPlane: of the option or the environment
         "fmi.compilers",  # cc and zig: of the options or PATH
+        "runs.companion_processes",  # this Python and package, for the companions of a run
         "views.view",  # this Python, for the views' process
         "views.viewer",  # rerun, beside this Python
     },

@@ -26,7 +26,7 @@ from testbed.flight.own_state import (
     IMU,
     OWN_STATE,
     VELOCITY,
-    CommandLimits,
+    AttitudeLimits,
     decode_attitude_target,
     decode_own_states,
     encode_attitude_targets,
@@ -186,7 +186,7 @@ def test_acceleration_of_the_imu(aircraft):
     assert encoded(level)["specific_force"].tolist() == [[0, 0, -1000]]
 
 
-LIMITS = CommandLimits(*(np.radians([each]) for each in (50.0, 20.0, -15.0)))
+LIMITS = AttitudeLimits(*(np.radians([each]) for each in (50.0, 20.0, -15.0)))
 
 
 @pytest.mark.parametrize(
@@ -233,7 +233,7 @@ def test_angles_are_the_same_in_kernels():
     targets = allocate(ATTITUDE_TARGET, 300)
     quaternion = random.normal(size=(300, 4))
     targets["q"] = quaternion / np.linalg.norm(quaternion, axis=1)[:, None]
-    wide = CommandLimits(np.array([4.0]), np.array([4.0]), np.array([-4.0]))
+    wide = AttitudeLimits(np.array([4.0]), np.array([4.0]), np.array([-4.0]))
     for target in targets:
         w, x, y, z = (float(each) for each in target["q"])
         roll, pitch, _ = angles_from_quaternion(x, y, z, w)
