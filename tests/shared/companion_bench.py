@@ -3,7 +3,7 @@
 import math
 import socket
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager, suppress
 
 from link_loop import free_port
 
@@ -52,10 +52,14 @@ class CompanionBench:
         folder: of its file.
         control: of uav2, which may be used again.
         key: of all; None: unsigned.
+        listeners: of the loop.
+        place: address at which the companion listens to its autopilot.
         options: of CompanionOptions.
     """
 
-    def __init__(self, scenario, folder, control, key=None, listeners=(), **options):
+    def __init__(
+        self, scenario, folder, control, key=None, listeners=(), place="127.0.0.1", **options
+    ):
         self.control, self.plan = control, control.plan
         self.listening = Listening()
         self._autopilot_port = free_port()
@@ -67,6 +71,7 @@ class CompanionBench:
         self.peers = {row: Codec(row + 1, 191) for row in (0, 1)}
         self.page = digest_of(scenario, folder)
         self.received = []
+        self._waits = False
         self._closing = ExitStack()
         self._place = "127.0.0.1", int(places[control.row].rpartition(":")[2])
         self.loop = self._closing.enter_context(
@@ -75,7 +80,7 @@ class CompanionBench:
                 folder,
                 control,
                 CompanionOptions(
-                    parse_end(f"udpin:127.0.0.1:{self._autopilot_port}"),
+                    parse_end(f"udpin:{place}:{self._autopilot_port}"),
                     parse_formation("peers:" + ",".join(places), self.plan.names),
                     key,
                     **{"leave": LeaveMode.LOITER, **options},
@@ -137,19 +142,33 @@ class CompanionBench:
         for name, fields in self._state(changes).items():
             self.send(name, **fields)
         before = self.listening.samples
-        self.turn(lambda: self.listening.samples > before, 0.5)
+        if not self._waits:
+            self.turn(lambda: self.listening.samples > before, 0.5)
+
+    @contextmanager
+    def waiting(self):
+        """Send samples in the block while the companion does not run."""
+        self._waits = True
+        yield
+        self._waits = False
+
+    def heard(self):
+        """Return the datagrams that the leader has heard since the last call."""
+        found = []
+        with suppress(BlockingIOError):
+            while True:
+                found.append(self._sockets[0].recv(4096))
+        return found
 
     def turn(self, done=lambda: False, longest_s=0.1):
         """Let the loop run until something has happened, or for a while."""
         end_s = time.monotonic() + longest_s
         while not done() and time.monotonic() < end_s:
             self.loop.turn()
-        try:
+        with suppress(BlockingIOError):
             while True:
                 data = self.autopilot.recv(4096)
                 self.received += Codec(255, 1).feed(data, datagram=True)
-        except BlockingIOError:
-            pass
 
     def commands(self):
         """Return the attitude targets since the last call, and forget all messages."""

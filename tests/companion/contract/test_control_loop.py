@@ -7,6 +7,7 @@ from companion_bench import FBWA, GUIDED, CompanionBench, angles, make_control
 
 import testbed
 from testbed.companion.engagement import EngagementState
+from testbed.companion.start import UNSIGNED
 from testbed.logs.mcap_file import LogError
 from testbed.mavlink.codec import Codec
 from testbed.mavlink.signing import Signing, signing_time
@@ -256,3 +257,79 @@ def test_position_moves_to_the_time_of_attitude(bench):
     bench.sample(GLOBAL_POSITION_INT={"time_boot_ms": 0})  # 40 ms older than the attitude
     expected = bench.position_ned(bench.control.row)[0] + 20.0 * 0.04
     assert bench.control.own["estimate"]["position_ned"][0] == pytest.approx(expected, abs=0.02)
+
+
+def test_of_waiting_samples_the_newest_is_answered(bench):
+    bench.engage()
+    bench.commands()
+    with bench.waiting():
+        for _ in range(5):
+            bench.sample()
+    bench.turn()
+    (command,) = bench.commands()
+    assert command.fields["time_boot_ms"] == bench.boot_ms
+
+
+def test_another_aircraft_at_the_link_is_told_once(bench):
+    bench.codec = Codec(7, 1)
+    for _ in range(3):
+        bench.sample()
+    told = [each for each in bench.listening.texts if "system id" in each]
+    assert told == ["autopilot has system id 7, 3 is expected"]
+    assert not bench.listening.samples
+
+
+def test_clock_that_jumps_forgets_the_messages(bench):
+    bench.sample()
+    bench.sample()
+    assert bench.control.inbox[0]["number"] >= 0
+    later_us = 1000 * (1_800_000_000_000 + bench.boot_ms + 40) + 3_000_000
+    bench.sample(with_peers=False, SYSTEM_TIME={"time_unix_usec": later_us})
+    assert bench.control.inbox[0]["number"] == -1
+
+
+def test_without_gps_time_nothing_is_broadcast(bench):
+    bench.sample(SYSTEM_TIME={"time_unix_usec": 0})
+    assert not bench.heard()
+    bench.sample()
+    assert bench.heard()
+
+
+def test_law_begins_again_with_each_engagement(bench, monkeypatch):
+    """Its memory is that of the first step: to the bit the same for the same state."""
+    control = bench.control
+    bench.sample()
+    inbox, commands = control.inbox.copy(), []
+    control.own["estimate"]["position_ned"] += (0.0, 5.0, 2.0)
+
+    def command(now):
+        control.inbox["received_s"] = now
+        control.step(now)
+        return tuple(control.own["control"].tolist())
+
+    for restarts in (True, True, False):
+        if restarts:
+            control.restart()
+        commands.append([command(0.04 * k) for k in range(20)])
+    assert control.inbox["number"].tolist() == inbox["number"].tolist()  # messages stay
+    assert commands[0] == commands[1] != commands[2]
+    restarted = []
+    monkeypatch.setattr(control, "restart", lambda: restarted.append(bench.boot_ms))
+    for _ in range(2):
+        bench.mode = FBWA
+        bench.engage()
+    assert len(restarted) == 2
+
+
+def test_unsigned_links_that_leave_are_told(scenario, control):
+    """Also to the ground station, in one STATUSTEXT."""
+    for unsigned, place, told in ((True, "0.0.0.0", 1), (False, "127.0.0.1", 0)):
+        bench = CompanionBench(scenario, FOLDER, control, unsigned=unsigned, place=place)
+        try:
+            bench.sample()
+            bench.sample()
+            assert bench.listening.texts.count(UNSIGNED.text) == told
+            texts = [each.fields["text"] for each in bench.received if each.name == "STATUSTEXT"]
+            assert texts.count(UNSIGNED.text) == told
+        finally:
+            bench.close()
