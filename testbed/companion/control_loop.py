@@ -11,7 +11,7 @@ import math
 import select
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -19,18 +19,16 @@ from testbed.companion.autopilot_requests import AutopilotRequests, heartbeat
 from testbed.companion.autopilot_state import IMU as IMU_MESSAGE
 from testbed.companion.autopilot_state import OWN_STATE_MESSAGES, AutopilotState
 from testbed.companion.boot_clock import BootClock, monotonic_of
-from testbed.companion.clock_offset import ClockOffset
 from testbed.companion.engagement import CompanionText, Decision, EngagementState
 from testbed.companion.follower_control import FollowerControl
+from testbed.companion.formation_inbox import FormationInbox
 from testbed.companion.formation_link import FormationLink
 from testbed.companion.formation_messages import (
     NAME,
     FormationMessages,
-    PeerMessage,
-    write_link,
 )
 from testbed.companion.loop_statistics import LoopStatistics
-from testbed.companion.observation import Observation, PeerObservation
+from testbed.companion.observation import Observation
 from testbed.companion.page_digest import AGREED_PARAMETERS, join_digests, parameter_digest
 from testbed.flight.own_state import IMU
 from testbed.link.ends import End
@@ -173,16 +171,13 @@ class CompanionLoop:
         self.boot_s, self.command = -math.inf, False
         self._digested, self._joined = -1, 0  # parameters, and `custom_state` of them
         self._base_ms: int | None = None  # of the times of messages
-        control.forget()
         self._sample_received_s = 0.0
         self._answer = b""  # to the newest sample
         self._broadcast = b""  # of the newest sample
         self._waiting = False  # in lockstep: for the messages of the newest sample
         self._mark_ms = -1  # in lockstep: all messages up to this time have come
         self._receipt_s: float | None = None  # that the hub says of the next message
-        self._early: dict[int, tuple[PeerMessage, float]] = {}
-        self._peers: dict[int, PeerObservation] = {}
-        self._offsets = {name: ClockOffset() for name in names}
+        self._inbox = FormationInbox(control, self._messages)
         self._decided_s = self._greeted_s = -math.inf
         self._decision = Decision(EngagementState.WAITING, False, None, (), ())
         self._heard, self._told_system = False, 0
@@ -294,7 +289,7 @@ class CompanionLoop:
             self._requests.restart()
         if state.base_ms != self._base_ms:  # their times count from another moment
             self._base_ms = state.base_ms
-            self.control.forget()
+            self._inbox.forget()
         self._advance_signers()
         for frame in self._requests.due(state, time.monotonic()):  # before a run goes on
             self._send(frame)
@@ -303,8 +298,6 @@ class CompanionLoop:
         self.statistics.samples += 1
         ahead_ms = state.boot_ms - state.position_ms
         self.control.take_own_state(state.own, ahead_ms / MS if abs(ahead_ms) < 500 else 0.0)
-        while self._early and self._base_ms is not None:
-            self._take_peer(*self._early.popitem()[1])
         self._send_message()
         self.command, self._answer, self._waiting = False, b"", self._lockstep
         while self._notices:
@@ -355,36 +348,11 @@ class CompanionLoop:
             if message.name == RECEIPT:
                 self._receipt_s = receipt_time(message.fields["data"])
                 return
-        peer = self._messages.read(message)
-        if peer is not None and peer.row != self.control.row:
-            self._take_peer(peer, received_s)
+        self._inbox.add(message, received_s, self._receipt_s)
 
-    def _take_peer(self, peer: PeerMessage, received_s: float) -> None:
-        base_ms = self._base_ms
-        if base_ms is None:  # as of a message that was faster than the own first sample
-            self._early[peer.row] = peer, received_s
-            return
-        boot_s = self._receipt_s if self._lockstep else self._clock.at(received_s)
-        if boot_s is None:  # in lockstep without a hub
-            boot_s = self.boot_s
-        link = self.control.inbox[peer.row]
-        if write_link(link, peer, base_ms, boot_s):
-            self._observe_peer(peer, (peer.timestamp_ms - base_ms) / MS, boot_s, received_s)
-
-    def _observe_peer(
-        self, peer: PeerMessage, stamp_s: float, boot_s: float, received_s: float
-    ) -> None:
-        content = peer.content
-        offset_s = self._offsets[self._names[peer.row]].add(stamp_s, boot_s)
-        self._peers[peer.row] = PeerObservation(
-            age_s=received_s,  # the time of receipt, until it is observed
-            stamp_s=stamp_s,
-            position_ned=tuple(content.position_ned[0].tolist()),
-            velocity_ned=tuple(content.velocity_ned[0].tolist()),
-            height_m=peer.height_m,
-            digests=peer.digests,
-            offset_s=offset_s,
-        )
+    def _take_messages(self) -> None:
+        """Read the messages of others that have come."""
+        self._inbox.take(self._base_ms, None if self._lockstep else self._clock.at)
 
     def _answer_waiting(self) -> None:
         """In lockstep step as soon as all messages of the newest sample have come."""
@@ -393,6 +361,7 @@ class CompanionLoop:
         if self._links.formation.address.kind == "hub":
             complete = self.state.boot_ms is not None and self._mark_ms >= self.state.boot_ms
         else:
+            self._take_messages()
             inbox = self.control.inbox
             complete = all(inbox[m]["stamp_s"] >= self.boot_s - 1e-9 for m in self.control.used)
         if complete:
@@ -402,6 +371,7 @@ class CompanionLoop:
 
     def _decide(self, now_s: float, *, stopping: bool = False) -> None:
         """Observe, and do what the gate decides."""
+        self._take_messages()
         self._decided_s = now_s
         engaged = self._decision.command
         decision = self._decision = self._gate.step(self.observe(now_s, stopping=stopping))
@@ -435,17 +405,9 @@ class CompanionLoop:
             sticks_us=state.sticks_us,
             parameters=state.parameters,
             digests=self._digests(),
-            peers=self._observed_peers(now_s),
+            peers=self._inbox.observed(now_s),
             stopping=stopping or self.error is not None,
         )
-
-    def _observed_peers(self, now_s: float) -> Mapping[str, PeerObservation]:
-        names = self._names
-        return {
-            names[m]: _with_age(self._peers[m], now_s)
-            for m in self.control.used
-            if m in self._peers
-        }
 
     def say(self, text: CompanionText) -> None:
         """Send a text to the ground station, and to the listeners."""
@@ -506,15 +468,3 @@ class CompanionLoop:
 
 
 _UNKNOWN = (math.nan, math.nan, math.nan)
-
-
-def _with_age(peer: PeerObservation, now_s: float) -> PeerObservation:
-    return PeerObservation(
-        age_s=now_s - peer.age_s,
-        stamp_s=peer.stamp_s,
-        position_ned=peer.position_ned,
-        velocity_ned=peer.velocity_ned,
-        height_m=peer.height_m,
-        digests=peer.digests,
-        offset_s=peer.offset_s,
-    )

@@ -8,11 +8,12 @@ sender's autopilot has it. `custom_state` has the digests of `page_digest`.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from testbed.core.records import Broadcast, NedOrigin, Record
+from testbed.core.records import BoolArray, Broadcast, NedOrigin, Record
 from testbed.mavlink.codec import Message
 from testbed.mavlink.follow_target import MS, PAYLOAD, FollowTarget
 
@@ -68,38 +69,52 @@ class FormationMessages:
         payload["timestamp"], payload["custom_state"] = timestamp_ms, digests
         return {name: payload[name][0].tolist() for name in PAYLOAD.names or ()}
 
-    def read(self, message: Message) -> PeerMessage | None:
-        """Return what a message says; None: it is of no aircraft of the formation, or absurd."""
+    def sender(self, message: Message) -> int | None:
+        """Return the row of the aircraft that sent a message; None: it is none of an aircraft."""
         row = message.system - 1
-        if message.name != NAME or message.frame[0] != _V2 or not 0 <= row < self._aircraft:
-            return None
-        length = message.frame[_LENGTH]
-        raw = message.frame[_HEAD : _HEAD + length][: PAYLOAD.itemsize]
-        payload = np.frombuffer(raw.ljust(PAYLOAD.itemsize, b"\0"), PAYLOAD)
+        known = message.name == NAME and message.frame[0] == _V2 and 0 <= row < self._aircraft
+        return row if known else None
+
+    def read(self, messages: Sequence[Message]) -> list[PeerMessage | None]:
+        """Return what messages with a `sender` say; None: numbers that no aircraft has."""
+        payload = np.frombuffer(b"".join(map(_payload, messages)), PAYLOAD)
         content = self._convert.read(payload)
-        if not _is_plausible(content):
-            return None
-        fields = payload[0]
-        return PeerMessage(
-            row,
-            int(fields["timestamp"]),
-            int(fields["custom_state"]),
-            float(fields["alt"]),
-            content,
-        )
+        plausible = _are_plausible(content)
+        found: list[PeerMessage | None] = []
+        for k, message in enumerate(messages):
+            fields = payload[k]
+            peer = PeerMessage(
+                message.system - 1,
+                int(fields["timestamp"]),
+                int(fields["custom_state"]),
+                float(fields["alt"]),
+                Broadcast(*(each[k : k + 1] for each in content)),
+            )
+            found.append(peer if plausible[k] else None)
+        return found
 
 
-def _is_plausible(content: Broadcast) -> bool:
-    """Return whether all numbers are finite, and those of no aircraft are not among them."""
-    largest = {
-        "position_ned": FARTHEST,
-        "velocity_ned": FASTEST,
-        "acceleration_ned": STRONGEST,
-        "euler_rates": STRONGEST,
-        "euler": math.tau,
-    }
-    # a comparison with NaN is false
-    return all((np.abs(getattr(content, name)) <= most).all() for name, most in largest.items())
+def _payload(message: Message) -> bytes:
+    """Return the payload of a frame with the zeros at its end, which MAVLink 2 leaves out."""
+    length = min(message.frame[_LENGTH], PAYLOAD.itemsize)
+    return message.frame[_HEAD : _HEAD + length].ljust(PAYLOAD.itemsize, b"\0")
+
+
+_LARGEST = {
+    "position_ned": FARTHEST,
+    "velocity_ned": FASTEST,
+    "acceleration_ned": STRONGEST,
+    "euler_rates": STRONGEST,
+    "euler": math.tau,
+}
+
+
+def _are_plausible(content: Broadcast) -> BoolArray:
+    """Return which of K messages have finite numbers that an aircraft may have."""
+    found = np.ones(len(content.stamp_s), dtype=bool)
+    for name, most in _LARGEST.items():  # a comparison with NaN is false
+        found &= (np.abs(getattr(content, name)) <= most).all(axis=1)
+    return found
 
 
 def write_link(link: Record, message: PeerMessage, base_ms: int, received_s: float) -> bool:

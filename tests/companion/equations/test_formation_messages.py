@@ -10,6 +10,7 @@ from testbed.mavlink.follow_target import BEGIN_MS, FollowTarget
 
 ORIGIN = NedOrigin(47.3, 8.5, 430.0)
 BASE_MS = 1_800_000_000_123
+TIME = {"time_unix_usec": 1, "time_boot_ms": 1}
 
 
 @pytest.fixture
@@ -27,7 +28,8 @@ def message():
 def sent(message, boot_ms=12_480, digests=0xFEDCBA9876543210):
     made = FormationMessages(ORIGIN, 4)
     fields = made.fields(message, BASE_MS + boot_ms, digests)
-    return made.read(decode(Codec(2, 191).pack("FOLLOW_TARGET", **fields)))
+    (read,) = made.read([decode(Codec(2, 191).pack("FOLLOW_TARGET", **fields))])
+    return read
 
 
 def test_content_is_that_of_a_run(message):
@@ -65,7 +67,8 @@ def test_message_of_no_aircraft_is_not_read(message):
     fields = made.fields(message, BASE_MS, 0)
     for system, known in ((4, True), (5, False), (255, False)):
         frame = Codec(system, 191).pack("FOLLOW_TARGET", **fields)
-        assert (made.read(decode(frame)) is not None) is known
+        assert (made.sender(decode(frame)) == 3) is known
+    assert made.sender(decode(Codec(4, 191).pack("SYSTEM_TIME", **TIME))) is None
 
 
 def test_shortened_payload_is_read_whole(message):
@@ -74,5 +77,24 @@ def test_shortened_payload_is_read_whole(message):
     fields = {**made.fields(message, BASE_MS, 0), "est_capabilities": 0}
     frame = Codec(2, 191).pack("FOLLOW_TARGET", **fields)
     assert len(frame) < 105
-    read = made.read(decode(frame))
+    (read,) = made.read([decode(frame)])
     assert np.allclose(read.content.velocity_ned, message["velocity_ned"], atol=1e-6)
+
+
+def test_messages_that_are_read_together_are_the_same(message):
+    """To the bit; one that is absurd takes none of the others with it."""
+    made, frames = FormationMessages(ORIGIN, 4), []
+    for k in range(5):
+        message["position_ned"] += 3.7
+        fields = made.fields(message, BASE_MS + k, k)
+        if k == 2:
+            fields["vel"] = (float("nan"), 0.0, 0.0)
+        frames.append(decode(Codec(1 + k % 4, 191).pack("FOLLOW_TARGET", **fields)))
+    together = made.read(frames)
+    assert together[2] is None
+    for frame, read in zip(frames, together, strict=True):
+        (alone,) = made.read([frame])
+        assert (alone is None) == (read is None)
+        if read is not None:
+            assert read[:4] == alone[:4]
+            assert all(map(np.array_equal, read.content, alone.content))
