@@ -8,7 +8,7 @@ from testbed.core.records import AIRCRAFT, allocate
 from testbed.flight.companion import Companions
 from testbed.flight.schedule import make_clock
 from testbed.plan.companions import build_companions
-from testbed.plan.fleet import resolve
+from testbed.plan.measured_fleet import resolve
 from testbed.scenario import load_scenario, loads, set_duration
 
 SPEED = 22.0
