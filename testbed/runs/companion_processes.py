@@ -130,7 +130,7 @@ class CompanionProcesses:
             log = folder / f"{row}.log"
             with log.open("wb") as output:
                 child = subprocess.Popen(
-                    guard_command("", command),
+                    guard_command(folder, command),
                     stdin=subprocess.PIPE,
                     stdout=output,
                     stderr=subprocess.STDOUT,
