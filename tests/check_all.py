@@ -185,6 +185,14 @@ PARTS = (
         parallel=False,
     ),
     Part(
+        "sequences of observations of a companion; failures of its process and of others",
+        "1,000 sequences, all failures",
+        "TESTBED_ENGAGEMENTS=1000 TESTBED_FAILURES=1 pytest "
+        "tests/companion/equations/test_engagement.py "
+        "tests/companion/contract/test_companion_failures.py",
+        parallel=False,
+    ),
+    Part(
         "a link between programs: packets as in a channel and a flight, noise, ground stations",
         "10,000 packets",
         "TESTBED_LINK_PACKETS=10000 TESTBED_LINK_NOISE=10000 TESTBED_BAD_LINKS=1 pytest tests/link "

@@ -85,6 +85,10 @@ class AutopilotRequests:
                     "PARAM_REQUEST_READ", param_id=each, param_index=-1, **self._target
                 )
 
+    def has_read(self, state: AutopilotState) -> bool:
+        """Whether all parameters were read, or do not exist."""
+        return not self._missing(state)
+
     def restart(self) -> None:
         """Ask for everything again, as of an autopilot that was started again."""
         self._looked.clear()

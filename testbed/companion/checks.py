@@ -16,7 +16,7 @@ from testbed.companion.observation import (
     STICKS,
     Observation,
 )
-from testbed.companion.page_digest import NEEDED_PARAMETERS, split_digests
+from testbed.companion.page_digest import NEEDED_PARAMETERS, UNREAD, split_digests
 from testbed.mavlink.vehicle_control import FlightMode
 from testbed.scenario.companion_flight import CompanionFlight
 
@@ -85,6 +85,7 @@ class Reason(Enum):
     PEER_AGE = "peer-age"
     PAGE_DIFFERS = "page-differs"
     PARAMETERS_DIFFER = "parameters-differ"
+    PEER_UNREAD = "peer-unread"
     NO_TIME = "no-time"
     TIME_JUMP = "time-jump"
     CLOCKS_APART = "clocks-apart"
@@ -173,10 +174,10 @@ def _heartbeat(case: Case) -> str:
 
 
 def _state_age(case: Case) -> str:
-    bound = case.limits.flight.state_age_s
-    if case.track.stalled_s > bound:
-        return f"autopilot's time stopped {case.track.stalled_s:.1f} s"
-    return _first_old(case, case.limits.state_messages, bound)
+    bound, stalled = case.limits.flight.state_age_s, case.track.stalled_s
+    if old := _first_old(case, case.limits.state_messages, bound):
+        return old
+    return f"autopilot's time stopped {stalled:.1f} s" if stalled > bound else ""
 
 
 def _status_age(case: Case) -> str:
@@ -276,7 +277,9 @@ def _no_receiver(case: Case) -> str:
 
 def _no_parameters(case: Case) -> str:
     missing = [name for name in NEEDED_PARAMETERS if name not in case.seen.parameters]
-    return f"{missing[0]} unread" if missing else ""
+    if missing:
+        return f"{missing[0]} unread"
+    return "reads parameters" if _parameters_of(case.seen.digests) == UNREAD else ""
 
 
 def _parameters(case: Case) -> str:
@@ -332,8 +335,27 @@ def _page_differs(case: Case) -> str:
 
 
 def _parameters_differ(case: Case) -> str:
-    same = [name for name in _received(case) if name in case.limits.same_parameters]
-    return _other_digest(case, 1, same, "parameters")
+    if _parameters_of(case.seen.digests) == UNREAD:
+        return ""
+    return _other_digest(case, 1, _same_parameters(case, read=True), "parameters")
+
+
+def _peer_unread(case: Case) -> str:
+    unread = _same_parameters(case, read=False)
+    return f"{unread[0]} reads its parameters" if unread else ""
+
+
+def _same_parameters(case: Case, *, read: bool) -> list[str]:
+    return [
+        name
+        for name in _received(case)
+        if name in case.limits.same_parameters
+        and (_parameters_of(case.seen.peer(name).digests) != UNREAD) is read
+    ]
+
+
+def _parameters_of(digests: int) -> int:
+    return split_digests(digests)[1]
 
 
 def _other_digest(case: Case, part: int, names: list[str], what: str) -> str:
@@ -461,6 +483,11 @@ REASONS: Mapping[Reason, Row] = {
     Reason.PAGE_DIFFERS: Row("an aircraft that the law uses has another page", _page_differs),
     Reason.PARAMETERS_DIFFER: Row(
         "an aircraft of the same kind has other limits or trims", _parameters_differ
+    ),
+    Reason.PEER_UNREAD: Row(
+        "an aircraft of the same kind has not read its parameters, as after a start in flight",
+        _peer_unread,
+        Ending.NONE,
     ),
     Reason.NO_TIME: Row("the autopilot has no GPS time", _no_time),
     Reason.TIME_JUMP: Row("the GPS time jumps by `clock_jump_s`", _time_jump),

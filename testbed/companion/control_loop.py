@@ -29,7 +29,12 @@ from testbed.companion.formation_messages import (
 )
 from testbed.companion.loop_statistics import LoopStatistics
 from testbed.companion.observation import Observation
-from testbed.companion.page_digest import AGREED_PARAMETERS, join_digests, parameter_digest
+from testbed.companion.page_digest import (
+    AGREED_PARAMETERS,
+    UNREAD,
+    join_digests,
+    parameter_digest,
+)
 from testbed.flight.own_state import IMU
 from testbed.link.ends import End
 from testbed.mavlink.codec import Codec, Message
@@ -169,7 +174,7 @@ class CompanionLoop:
         self._texts = StatusTexts()
         self._target = {"target_system": system, "target_component": 1}
         self.boot_s, self.command = -math.inf, False
-        self._digested, self._joined = -1, 0  # parameters, and `custom_state` of them
+        self._digested, self._joined = (-1, False), 0  # parameters, and `custom_state` of them
         self._base_ms: int | None = None  # of the times of messages
         self._sample_received_s = 0.0
         self._answer = b""  # to the newest sample
@@ -327,10 +332,10 @@ class CompanionLoop:
         self._links.formation.send(self._broadcast)
 
     def _digests(self) -> int:
-        read = self.state.counts.get("PARAM_VALUE", 0)
-        if read != self._digested:  # parameters that have come since
-            self._digested = read
-            parameters = parameter_digest(self.state.parameters)
+        known = self.state.counts.get("PARAM_VALUE", 0), self._requests.has_read(self.state)
+        if known != self._digested:  # parameters that have come since
+            self._digested = known
+            parameters = parameter_digest(self.state.parameters) if known[1] else UNREAD
             self._joined = join_digests(self._page, parameters)
         return self._joined
 

@@ -10,6 +10,7 @@ import hashlib
 import math
 from collections.abc import Iterable, Mapping
 
+UNREAD = 0  # in place of the digest of parameters, before all are read
 _BYTES = 4
 _FIGURES = 6  # of a parameter: MAVLink has float32
 
@@ -47,7 +48,7 @@ def parameter_digest(parameters: Mapping[str, float]) -> int:
         for name in AGREED_PARAMETERS
         if name in parameters and math.isfinite(parameters[name])
     ]
-    return page_digest([("parameters", "".join(lines).encode())])
+    return page_digest([("parameters", "".join(lines).encode())]) or UNREAD + 1
 
 
 def join_digests(page: int, parameters: int) -> int:

@@ -11,7 +11,7 @@ from testbed.companion.observation import (
     Observation,
     PeerObservation,
 )
-from testbed.companion.page_digest import join_digests
+from testbed.companion.page_digest import UNREAD, join_digests
 from testbed.scenario.companion_flight import CompanionFlight, FlightFence
 
 FBWA, GUIDED = 5, 15
@@ -143,7 +143,7 @@ BREAKS = {
         own(position_ned=(0.0, 0.0, -29.0)),
     ],
     Reason.NO_RECEIVER: [own(sticks_us=None), old(STICKS, age_s=3.1)],
-    Reason.NO_PARAMETERS: [own(parameters={})],
+    Reason.NO_PARAMETERS: [own(parameters={}), own(digests=join_digests(PAGE, UNREAD))],
     Reason.PARAMETERS: [parameters(TRIM_THROTTLE=0.0), parameters(ROLL_LIMIT_DEG=45.0)],
     Reason.LEADER_AGE: [other("leader", age_s=1.1), other("leader", age_s=math.inf)],
     Reason.LEADER_JUMP: [moved_leader, other("leader", position_ned=(math.nan, 0.0, 0.0))],
@@ -158,6 +158,7 @@ BREAKS = {
         other("leader", digests=join_digests(PAGE + 1, PARAMETERS)),
     ],
     Reason.PARAMETERS_DIFFER: [other("uav1", digests=join_digests(PAGE, PARAMETERS + 1))],
+    Reason.PEER_UNREAD: [other("uav1", digests=join_digests(PAGE, UNREAD))],
     Reason.NO_TIME: [own(base_ms=None), own(base_ms=1_000_000_000_000)],
     Reason.TIME_JUMP: [own(base_ms=1_900_000_000_150), own(base_ms=1_899_999_999_850)],
     Reason.CLOCKS_APART: [other("uav1", offset_s=0.25), other("leader", offset_s=-1.0)],
