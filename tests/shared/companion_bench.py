@@ -11,6 +11,7 @@ from testbed.companion.engagement import LeaveMode
 from testbed.companion.follower_control import FollowerControl
 from testbed.companion.formation_link import parse_formation
 from testbed.companion.formation_messages import FormationMessages
+from testbed.companion.page_digest import AGREED_PARAMETERS
 from testbed.companion.start import CompanionOptions, digest_of, open_companion
 from testbed.core.geodetic import geodetic_from_ned
 from testbed.link.ends import parse_end
@@ -18,14 +19,6 @@ from testbed.mavlink.codec import Codec
 
 EPOCH_MS = 1_800_000_000_000  # GPS time at the boot of all autopilots
 GUIDED, FBWA = 15, 5
-PARAMETERS = {
-    "ROLL_LIMIT_DEG": "roll_limit_deg",
-    "PTCH_LIM_MAX_DEG": "ptch_lim_max_deg",
-    "PTCH_LIM_MIN_DEG": "ptch_lim_min_deg",
-    "TRIM_THROTTLE": "trim_throttle",
-    "AIRSPEED_MIN": "airspeed_min",
-    "AIRSPEED_MAX": "airspeed_max",
-}
 
 
 class Listening:
@@ -237,14 +230,14 @@ class CompanionBench:
     def give_parameters(self, **changes):
         """Answer all requests for parameters by those of the page."""
         params = self.plan.aircraft[self.control.row].params
-        for index, (name, field) in enumerate(PARAMETERS.items()):
-            value = changes.get(name, getattr(params, field))
+        for index, name in enumerate(AGREED_PARAMETERS):
+            value = changes.get(name, getattr(params, name.lower(), 1.0))
             self.send(
                 "PARAM_VALUE",
                 param_id=name,
                 param_value=float(value),
                 param_type=9,
-                param_count=len(PARAMETERS),
+                param_count=len(AGREED_PARAMETERS),
                 param_index=index,
             )
 
