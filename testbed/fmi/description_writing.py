@@ -47,7 +47,7 @@ class DescribedVariable(NamedTuple):
     high: float | None = None
 
 
-class Ending(NamedTuple):
+class FlightEnd(NamedTuple):
     """A value of the output `ended`."""
 
     name: str
@@ -56,10 +56,10 @@ class Ending(NamedTuple):
 
 
 ENDINGS = (
-    Ending("flying", 0, "it flies"),
-    Ending("implausible", 1, "its motion is not a number, or faster than any aircraft"),
-    Ending("above_atmosphere", 2, "above 20 km, where the model of the atmosphere ends"),
-    Ending("ground", 3, "so low that the ground may touch a part of it"),
+    FlightEnd("flying", 0, "it flies"),
+    FlightEnd("implausible", 1, "its motion is not a number, or faster than any aircraft"),
+    FlightEnd("above_atmosphere", 2, "above 20 km, where the model of the atmosphere ends"),
+    FlightEnd("ground", 3, "so low that the ground may touch a part of it"),
 )
 AIRSPEED, DOWN = "start.airspeed", "start.position_ned[3]"
 

@@ -201,7 +201,7 @@ def signer(key, link, ahead_s=0.0):
     return MessageSigner(Signing(key, link=link, time=now, strict=True))
 
 
-def test_with_a_key_forged_frames_are_refused(tmp_path):
+def test_forged_frames_are_refused_with_a_key(tmp_path):
     key = tmp_path / "key"
     key.write_text(KEY.hex())
     key.chmod(0o600)
