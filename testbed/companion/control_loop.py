@@ -15,8 +15,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-import numpy as np
-
 from testbed.companion.autopilot_requests import AutopilotRequests, heartbeat
 from testbed.companion.autopilot_state import IMU as IMU_MESSAGE
 from testbed.companion.autopilot_state import OWN_STATE_MESSAGES, AutopilotState
@@ -392,9 +390,7 @@ class CompanionLoop:
     def observe(self, now_s: float, *, stopping: bool = False) -> Observation:
         """Return what is known at a time, s of the monotonic clock."""
         state, estimate = self.state, self.control.own["estimate"]
-        own = state.own[0]
-        angles = np.isfinite(own["euler"]).all() and np.isfinite(own["rates_body"]).all()
-        known = state.has_own_state and angles
+        known = state.has_own_state
         origin = self.control.plan.origin
         position = tuple(estimate["position_ned"].tolist()) if known else _UNKNOWN
         return Observation(
@@ -444,8 +440,6 @@ class CompanionLoop:
             return
         statistics.step.add(time.perf_counter() - begun_s)
         target = control.target()
-        if not (np.isfinite(target["q"]).all() and math.isfinite(target["thrust"])):
-            return  # the autopilot holds the last one; the next observation tells why
         self._answer = self._autopilot.pack(
             "SET_ATTITUDE_TARGET",
             time_boot_ms=self.state.boot_ms or 0,

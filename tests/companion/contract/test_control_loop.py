@@ -259,28 +259,6 @@ def test_position_moves_to_the_time_of_attitude(bench):
     assert bench.control.own["estimate"]["position_ned"][0] == pytest.approx(expected, abs=0.02)
 
 
-@pytest.mark.parametrize("field", ["roll", "yawspeed"])
-def test_attitude_without_a_number_is_left(bench, field):
-    bench.engage()
-    bench.commands()
-    bench.sample(ATTITUDE={field: float("nan")})
-    assert not bench.commands()
-    assert "formation left: own state has no number" in bench.listening.texts
-
-
-def test_command_without_a_number_is_not_sent(bench, monkeypatch):
-    bench.engage()
-    bench.commands()
-    for value, sent in ((float("nan"), 0), (0.5, 1)):
-
-        def step(now, value=value):
-            bench.control.own["control"]["throttle"] = value
-
-        monkeypatch.setattr(bench.control, "step", step)
-        bench.sample()
-        assert len(bench.commands()) == sent
-
-
 def test_of_waiting_samples_the_newest_is_answered(bench):
     bench.engage()
     bench.commands()

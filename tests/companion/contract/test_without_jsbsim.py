@@ -1,15 +1,12 @@
 """What a companion computer runs needs neither JSBSim nor SciPy, and is what a run does."""
 
 import json
-import re
 import subprocess
 import sys
-import tomllib
 
 import numpy as np
 import pytest
 import user_laws
-from packaging.requirements import Requirement
 from places import ROOT
 from waiting import TIMEOUT_S
 
@@ -143,25 +140,6 @@ def test_a_file_without_wingspan_is_refused(text, reason, tmp_path):
     (tmp_path / f"{tmp_path.name}.xml").write_text(text, "utf-8")
     with pytest.raises(AircraftError, match=reason):
         read_wingspan(tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("system", "machine", "wanted"),
-    [("linux", "aarch64", False), ("linux", "x86_64", True), ("darwin", "arm64", True)],
-)
-def test_jsbsim_is_left_out_where_it_has_no_wheel(system, machine, wanted):
-    """By the requirements of the package, and by the pins."""
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
-    (text,) = [each for each in project["dependencies"] if each.startswith("jsbsim")]
-    lock = (ROOT / "requirements.lock").read_text("utf-8")
-    (pin,) = re.findall(r"^(jsbsim==.*) \\$", lock, re.M)
-    here = {"sys_platform": system, "platform_machine": machine}
-    for requirement in map(Requirement, (text, pin)):
-        assert requirement.marker.evaluate(here) is wanted
-    mavlink, companion = (
-        project["optional-dependencies"][name] for name in ("mavlink", "companion")
-    )
-    assert companion == ["formation-testbed[mavlink]"] and mavlink
 
 
 def test_unknown_aircraft_is_refused():
