@@ -200,9 +200,9 @@ def _settings(
     Raises:
         InputError: it cannot be used.
     """
+    from testbed.link.link_file import DATAGRAMS, FRAMES, load_link_file
     from testbed.link.link_settings import settings_from_file, settings_from_scenario
     from testbed.scenario.arguments import check_argument
-    from testbed.scenario.link_file import DATAGRAMS, FRAMES, load_link_file
     from testbed.scenario.sections import Header
 
     default = FRAMES if any(streams) or radio is not None else DATAGRAMS

@@ -15,7 +15,7 @@ import numpy as np
 from testbed.core.geodetic import DEGREES, LocalFrame, local_frame, wrap_longitude
 from testbed.core.records import Array, NedOrigin
 from testbed.link.frame_cutter import Unit
-from testbed.scenario.link_file import Position
+from testbed.link.link_file import Position
 
 GLOBAL_POSITION_INT, ATTITUDE = 33, 30  # message ids
 _POSITION, _ATTITUDE = struct.Struct("<4xiii"), struct.Struct("<4xfff")

@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from testbed.core.errors import InputError
+from testbed.link.link_file import FRAMES, LinkFile, Position
 from testbed.scenario import Scenario
 from testbed.scenario.arguments import with_changes
-from testbed.scenario.link_file import FRAMES, LinkFile, Position
 from testbed.scenario.network import Network
 from testbed.scenario.problems import did_you_mean
 

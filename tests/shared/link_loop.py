@@ -5,9 +5,9 @@ import time
 
 from testbed.link.emulator import LinkEmulator
 from testbed.link.ends import open_end, parse_end
+from testbed.link.link_file import load_link_file
 from testbed.link.link_settings import settings_from_file
 from testbed.mavlink.codec import Codec
-from testbed.scenario.link_file import load_link_file
 
 LONGEST_S = 20.0
 AT_ONCE = 40  # packets in a socket's buffer

@@ -9,11 +9,11 @@ from places import ROOT
 
 import testbed
 from testbed.core.errors import InputError
+from testbed.link.link_file import load_link_file
 from testbed.link.link_settings import settings_from_file, settings_from_scenario
 from testbed.network.single_link import SingleLink
 from testbed.probes.channel_probe import probe_channel
 from testbed.scenario import ScenarioError, load_scenario
-from testbed.scenario.link_file import load_link_file
 
 # The text of a file, and what each line of the error has, with its place.
 WRONG = {

@@ -35,6 +35,7 @@ from testbed.studies.table import read_table
 PLAIN_TEXTS = {
     *("Header.question", "Header.expectation", "Published.source", "Published.differs"),
     "Controller.options",  # arguments of a law; docs/studies.md has that they are not seen
+    "Controller.map",  # names of variables in an FMU
     "Log.start_time",
 }
 
