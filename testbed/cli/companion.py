@@ -188,9 +188,10 @@ def companion_command(
                 loop.run(stop)
             except ExternalProgramLost as error:
                 lost = error
+            statistics = loop.statistics.summary()  # of the flight, without what ends it
         if record is not None:
-            record.close(loop.statistics.summary())
-    _finish(loop, record, json, quiet=quiet)
+            record.close(statistics)
+    _finish(statistics, record, json, quiet=quiet)
     if lost is not None:
         raise lost
     if loop.error is not None:
@@ -280,10 +281,13 @@ def _open_record(
 
 
 def _finish(
-    loop: CompanionLoop, record: FlightRecord | None, json: Path | None, *, quiet: bool
+    document: Mapping[str, Any],
+    record: FlightRecord | None,
+    json: Path | None,
+    *,
+    quiet: bool,
 ) -> None:
     """Write the statistics, and print them."""
-    document = loop.statistics.summary()
     write_json_output(json, document)
     if quiet:
         return

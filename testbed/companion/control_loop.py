@@ -1,8 +1,8 @@
 """The loop of a companion: own state in, messages of others in, message and command out.
 
 One `select` waits for the autopilot and the formation; there is no thread. A sample of the own
-state ends with ATTITUDE: it is broadcast, and while the aircraft is engaged law and middle loop
-step once for it and their command is sent.
+state ends with ATTITUDE: while the aircraft is engaged law and middle loop step once for it and
+their command is sent; then it is broadcast, in lockstep before.
 """
 
 from __future__ import annotations
@@ -303,14 +303,17 @@ class CompanionLoop:
         self.statistics.samples += 1
         ahead_ms = state.boot_ms - state.position_ms
         self.control.take_own_state(state.own, ahead_ms / MS if abs(ahead_ms) < 500 else 0.0)
-        self._send_message()
         self.command, self._answer, self._waiting = False, b"", self._lockstep
+        if self._lockstep:  # the others wait for it
+            self._send_message()
         while self._notices:
             self.say(self._notices.pop(0))
         if not self._lockstep:
             self._read_formation()
             self._decide(time.monotonic())
             self._fly(self._clock.at(time.monotonic()))
+            self._send_message()
+            self._tell_sample()
 
     def _repeat(self) -> None:
         """Send again what was sent for a sample: nothing is stepped twice."""
@@ -373,6 +376,7 @@ class CompanionLoop:
             self._waiting = False
             self._decide(time.monotonic())
             self._fly(self.boot_s)
+            self._tell_sample()
 
     def _decide(self, now_s: float, *, stopping: bool = False) -> None:
         """Observe, and do what the gate decides."""
@@ -426,6 +430,8 @@ class CompanionLoop:
         control = self.control
         if self._decision.command and control.row and self.error is None:
             self._command(now)
+
+    def _tell_sample(self) -> None:
         for listener in self._listeners:
             listener.sample(self)
 
