@@ -139,8 +139,7 @@ def run_command(
         typer.Option(
             "--companions",
             help="Fly every follower by `testbed companion` in a process of its own, in lockstep, "
-            "or with --pace 1 in real time; the scenario needs controller.companion.link: mavlink "
-            "and network.encoding: follow-target.",
+            "or with --pace 1 in real time.",
             rich_help_panel=_EXTERNAL,
         ),
     ] = False,

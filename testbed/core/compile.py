@@ -69,7 +69,7 @@ _progress: ContextVar[Progress | None] = ContextVar("progress", default=None)
 # machine code and all results anew.
 KERNEL_PACKAGES = (
     *("core", "airframes", "atmosphere", "ardupilot", "autopilot", "commissioning", "compiled"),
-    *("flight", "formation", "guidance", "network", "sensors", "vehicle"),
+    *("flight", "fmi", "formation", "guidance", "network", "sensors", "vehicle"),
 )
 _FOLDER_NAME = re.compile("kernels-[0-9a-f]{16}")
 _FILE_NAME = re.compile(

@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, BinaryIO, NoReturn
 
+from testbed.core.errors import Portable
 from testbed.core.interrupts import INTERRUPTED, STOP_SIGNALS, Interrupt
 
 Send = Callable[[object], None]
@@ -23,7 +24,7 @@ _GRACE_S = 5.0  # for the work to end after the parent
 _RESULT, _ERROR, _MESSAGE = "result", "error", "message"
 
 
-class CrashError(Exception):
+class CrashError(Portable):
     """The forked process has ended before its work. `end` is how: "crashed (SIGSEGV)"."""
 
     def __init__(self, end: str, *, killed: bool) -> None:

@@ -5,16 +5,19 @@ from __future__ import annotations
 import time
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 from testbed.core.errors import InputError
-from testbed.flight.companion_link import MavlinkCompanions
 from testbed.flight.world import World
 from testbed.mavlink.udp_endpoint import LOOPBACK, Address
-from testbed.runs.companion_hub import CompanionHub
-from testbed.runs.companion_processes import CompanionProcesses, free_ports
 from testbed.runs.external_options import ExternalOptions
 from testbed.scenario import Scenario
 from testbed.scenario.aircraft import ArduPlane, External
+from testbed.scenario.arguments import with_changes
+
+if TYPE_CHECKING:
+    from testbed.runs.companion_hub import CompanionHub
+    from testbed.runs.companion_processes import CompanionProcesses
 
 FAILSAFE_S = 3.0  # without a command, as ArduPlane's in GUIDED
 
@@ -22,6 +25,22 @@ FAILSAFE_S = 3.0  # without a command, as ArduPlane's in GUIDED
 def commands_of(*, lockstep: bool) -> External:
     """Return how the companions of a run command its followers."""
     return External(kind="external", lockstep=lockstep, failsafe_s=FAILSAFE_S)
+
+
+def with_message_links(scenario: Scenario) -> Scenario:
+    """Return the scenario with states, commands and messages of the digits that MAVLink has.
+
+    The run's own controller, of which the log has its desired values, then computes what the
+    companions do.
+    """
+    controller, network = scenario.controller, scenario.network
+    companion = with_changes(controller.companion, link="mavlink")
+    changed = with_changes(
+        scenario,
+        controller=with_changes(controller, companion=companion),
+        network=with_changes(network, encoding="follow-target"),
+    )
+    return changed.with_set_keys(scenario.set_keys)
 
 
 def check_companions(scenario: Scenario, world: World) -> None:
@@ -33,12 +52,7 @@ def check_companions(scenario: Scenario, world: World) -> None:
     companion, network, rates = scenario.controller.companion, scenario.network, scenario.rates
     parts = world.formation
     problem = ""
-    if not isinstance(parts.companions, MavlinkCompanions):
-        problem = (
-            "controller.companion.link: direct has every digit, which messages do not carry (write "
-            "--set controller.companion.link=mavlink --set network.encoding=follow-target)"
-        )
-    elif outside := [e.name for e in scenario.aircraft if isinstance(e.commanded_by, External)]:
+    if outside := [e.name for e in scenario.aircraft if isinstance(e.commanded_by, External)]:
         problem = (
             f"{', '.join(outside)}: commanded_by: external is another program's (leave it out)"
         )
@@ -108,6 +122,10 @@ def open_companions(
     """
     if not options.companions:
         return None
+    # messages of MAVLink: 10 ms that other runs save
+    from testbed.runs.companion_hub import CompanionHub
+    from testbed.runs.companion_processes import CompanionProcesses, free_ports
+
     if options.signing_key is not None:
         raise InputError(
             "--companions: links to companions of a run are not signed (leave out --mavlink-key)"

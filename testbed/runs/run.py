@@ -37,7 +37,12 @@ from testbed.metrics.model import Metrics
 from testbed.metrics.observer import MetricsObserver
 from testbed.plan.resources import check_disk
 from testbed.plan.world import build
-from testbed.runs.companion_run import check_companions, commands_of, open_companions
+from testbed.runs.companion_run import (
+    check_companions,
+    commands_of,
+    open_companions,
+    with_message_links,
+)
 from testbed.runs.external_options import (
     NO_EXTERNAL,
     ExternalOptions,
@@ -184,6 +189,8 @@ def run(
     check_observers(observers)
     stages = check_stages(stages)
     loaded = find_loaded(scenario, overrides, duration_s=duration_s, seed=seed)
+    if external.companions:
+        loaded = with_message_links(loaded)
     if write and loaded.log.mcap:
         check_disk(loaded, folder or LOGS)
     with reporting_progress(progress, loaded.name) as report:

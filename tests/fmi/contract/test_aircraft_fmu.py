@@ -20,7 +20,7 @@ import testbed
 from testbed.core.errors import InputError
 from testbed.core.library import library
 from testbed.fmi.aircraft_fmu import AircraftFmu, make_fmu
-from testbed.fmi.model_description import identifier
+from testbed.fmi.description_writing import identifier
 
 ALL = os.environ.get("TESTBED_FMUS") == "1"
 SECONDS = 60.0 if ALL else 4.0

@@ -70,7 +70,7 @@ def own_origins(monkeypatch):
 def test_lockstep_is_the_flight_in_process(in_process, own_origins):
     """To the bit, through a bad network, with another local origin on each aircraft."""
     expected, frames = in_process
-    found, others = flown(scenario(*LOSSY), LOCKSTEP)
+    found, others = flown(short(*LOSSY, seconds=SECONDS), LOCKSTEP)
     for one, other in zip(numbers(frames), numbers(others), strict=True):
         np.testing.assert_array_equal(one, other)
     assert found.metrics["network"] == expected.metrics["network"]
@@ -176,9 +176,8 @@ def test_dead_companion_ends_a_run_in_lockstep(started):
 
 def test_companion_that_cannot_start_says_why(started):
     """As where its own scenario is refused."""
-    changes = ("controller.companion.link=mavlink",)
-    with pytest.raises(InputError, match=r"write network\.encoding: follow-target"):
-        run(short(*changes, seconds=1.0), write=False, external=LOCKSTEP)
+    with pytest.raises(InputError, match=r"write rates\.broadcast_hz: 25"):
+        run(short("rates.broadcast_hz=5", seconds=1.0), write=False, external=LOCKSTEP)
     assert started == []
 
 
@@ -201,7 +200,6 @@ def test_dead_companion_is_a_warning_in_real_time(started):
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        ((), "controller.companion.link: direct has every digit"),
         ((*MAVLINK, "rates.log_hz=5"), "rates.log_hz: companions step once for each sample"),
         ((*MAVLINK, "controller.companion.command_latency_s=0.1"), "its latencies are those of"),
         ((*MAVLINK, "network.clocks.uav1.offset_s=0.1"), "network.clocks: companions stamp"),

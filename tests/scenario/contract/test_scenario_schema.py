@@ -102,6 +102,7 @@ OTHER_KINDS = [
     "air.wind={speed_mps: 5, profile: {kind: power, height_m: 20, exponent: 0.2}}",
     "network={trace: {file: gusty-wind.csv, random_start: true, begin_s: 2}, message_bytes: 120, "
     "tdma: {frame_s: 0.1, order: [uav2, lead, uav1], packets: 2, queue_packets: 3}}",
+    "controller.companion={link: mavlink, acceleration: imu}",
     "formation.control_function={example: own, function: 'gentle_functions:mu'}",
     "formation.barrier={example: own, function: 'gentle_functions:h'}",
     "formation.speed_model={f: 'drag_and_propeller:f', g: 'drag_and_propeller:g'}",
