@@ -1,8 +1,8 @@
 """The loop of a companion: own state in, messages of others in, message and command out.
 
 One `select` waits for the autopilot and the formation; there is no thread. A sample of the own
-state ends with ATTITUDE: while the aircraft is engaged law and middle loop step once for it and
-their command is sent; then it is broadcast, in lockstep before.
+state ends with ATTITUDE: it is broadcast, and while the aircraft is engaged law and middle loop
+step once for it and their command is sent.
 """
 
 from __future__ import annotations
@@ -304,15 +304,14 @@ class CompanionLoop:
         ahead_ms = state.boot_ms - state.position_ms
         self.control.take_own_state(state.own, ahead_ms / MS if abs(ahead_ms) < 500 else 0.0)
         self.command, self._answer, self._waiting = False, b"", self._lockstep
-        if self._lockstep:  # the others wait for it
-            self._send_message()
+        self._send_message()
         while self._notices:
             self.say(self._notices.pop(0))
         if not self._lockstep:
             self._read_formation()
             self._decide(time.monotonic())
+            self._read_formation()  # others broadcast the same sample meanwhile
             self._fly(self._clock.at(time.monotonic()))
-            self._send_message()
             self._tell_sample()
 
     def _repeat(self) -> None:
