@@ -311,6 +311,7 @@ class CompanionLoop:
             self._read_formation()
             self._decide(time.monotonic())
             self._read_formation()  # others broadcast the same sample meanwhile
+            self._take_messages()
             self._fly(self._clock.at(time.monotonic()))
             self._tell_sample()
 

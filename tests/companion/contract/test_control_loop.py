@@ -6,7 +6,7 @@ import pytest
 from companion_bench import FBWA, GUIDED, CompanionBench, angles, make_control
 
 import testbed
-from testbed.companion.engagement import EngagementState
+from testbed.companion.engagement import Engagement, EngagementState
 from testbed.companion.start import UNSIGNED
 from testbed.logs.mcap_file import LogError
 from testbed.mavlink.codec import Codec
@@ -77,6 +77,25 @@ def test_command_flies_towards_the_slot(bench, monkeypatch, east):
         bench.sample()
     roll = angles(bench.commands()[-1])[0]
     assert roll < -0.1 if east > 0.0 else roll > 0.1
+
+
+def test_message_during_the_decision_is_used(bench, monkeypatch):
+    """Where autopilots send at the same moment: that of the same sample, not of the one before."""
+    bench.engage()
+    decide, step, used = Engagement.step, type(bench.control).step, []
+
+    def decide_late(gate, seen):
+        bench.send_formation(bench.peer_frame(0))
+        return decide(gate, seen)
+
+    def watch(control, now):
+        used.append(float(control.inbox[0]["stamp_s"]))
+        step(control, now)
+
+    monkeypatch.setattr(Engagement, "step", decide_late)
+    monkeypatch.setattr(type(bench.control), "step", watch)
+    bench.sample(with_peers=False)
+    assert used == [bench.boot_ms / 1e3]
 
 
 def test_position_is_not_that_of_the_local_frame(bench):
