@@ -79,6 +79,7 @@ class MavlinkVehicle:
             name: handler for part in parts for name, handler in part.handlers.items()
         }
         self._item = self._active_item()
+        self._sampled: list[str] = []  # messages of the latest sample
         self._heartbeat_s = float("-inf")
         self._refused: set[tuple[int, int, str]] = set()  # sender and name
 
@@ -115,7 +116,7 @@ class MavlinkVehicle:
         """Take a sample, and return the messages that are due with it."""
         context = self._context
         context.snapshot = snapshot
-        names = self._schedule.due(snapshot.sample.time_s)
+        names = self._sampled = self._schedule.due(snapshot.sample.time_s)
         if HEARTBEAT in names:
             self._heartbeat_s = wall_s
         messages = self._item_reached()
@@ -137,8 +138,12 @@ class MavlinkVehicle:
         return self._parameters.all_values()
 
     def repeated_state(self) -> list[OutgoingMessage]:
-        """Return the state messages of the latest sample that are sent with every one."""
-        return [message for name in self._state for message in build_message(name, self._context)]
+        """Return the messages of the latest sample again, of a vehicle that a run waits for.
+
+        All of them: a program that has missed the first sample needs the slow ones, too.
+        """
+        names = self._sampled if self._state else ()
+        return [message for name in names for message in build_message(name, self._context)]
 
     def event_text(self, event: Event) -> list[OutgoingMessage]:
         """Make the STATUSTEXT of an event."""

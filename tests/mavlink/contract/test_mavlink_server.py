@@ -546,6 +546,17 @@ def test_lockstep_attitude_is_last_and_repeated(open_server, ground):
     assert again[-1].fields == last.fields
 
 
+def test_lockstep_repeats_the_whole_sample(open_server, ground):
+    """A program that has missed the first one needs its slow messages, too, to answer it."""
+    server = open_server(out(ground), controls=[RecordingControl(lockstep=True)])
+    server.observe(sample(0, 1))
+    said = [m.name for m in ground.receive()]
+    server.repeat(0.0)
+    again = [m.name for m in ground.receive()]
+    assert {"VFR_HUD", "SYSTEM_TIME", "HEARTBEAT"} <= set(again)
+    assert [name for name in said if name != "STATUSTEXT"] == again
+
+
 def test_log_contains_sent_and_accepted_frames(open_server, ground, tmp_path):
     server = open_server(out(ground))
     server.log_to(tmp_path / "run.tlog")
