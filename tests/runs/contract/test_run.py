@@ -2,6 +2,7 @@
 
 import functools
 import inspect
+import io
 import json
 import os
 import pkgutil
@@ -427,15 +428,21 @@ def test_run_is_printed_as_a_short_table(tmp_path):
     assert len(repr(short).splitlines()) == 7 and "12.00" in repr(short)
 
 
-def test_stop_that_waits_says_where_it_is(monkeypatch, capfd):
+def test_stop_that_waits_says_where_it_is(monkeypatch):
     monkeypatch.setattr(stop_request, "GRACE_S", 0.02)
+    # what takes text out of it, as capfd, would be where the process is
+    said = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", said)
     with pytest.raises(KeyboardInterrupt), stop_request.stop_on_signals() as stop:
         os.kill(os.getpid(), signal.SIGINT)
-        until(lambda: "test_run.py:" in (text := capfd.readouterr().err) or "waiting.py:" in text)
+        until(lambda: "\n" in said.getvalue()[1:])
+        assert "test_run.py:" in said.getvalue() or "waiting.py:" in said.getvalue()
         assert stop()
         os.kill(os.getpid(), signal.SIGINT)
+    said.seek(0)
+    said.truncate()
     with stop_request.stop_on_signals() as stop:  # a run that ends in time says nothing
         os.kill(os.getpid(), signal.SIGTERM)
         stop.begin_ending()
         time.sleep(0.05)
-    assert capfd.readouterr().err == ""
+    assert said.getvalue() == ""
