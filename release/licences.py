@@ -51,7 +51,7 @@ translate are an aircraft's XML files, which keep the licence of their authors.
 
 The functions of FMI 2.0 are declared in `testbed/fmi/aircraft_fmu.c` itself, from the text of the
 standard; no header of others is part of an FMU. Its `documentation/licenses` has the testbed's
-licence and what the aircraft's folder says of its own. A library that zig links has parts of zig's
+licence and the licence files of the aircraft's folder. A library that zig links has parts of zig's
 run-time (MIT) and, for Windows, of mingw-w64 (public domain; Zope Public License).
 
 Tools for tests and docs are not installed with the testbed and not imported by it. A test compares

@@ -213,7 +213,7 @@ def _read_key(file: Path | None) -> bytes | None:
 
 def _begin_lines(scenario: Scenario, name: str, options: CompanionOptions) -> list[str]:
     """Describe a companion before its flight."""
-    from testbed.companion.page_warnings import page_warnings
+    from testbed.companion.scenario_warnings import scenario_warnings
 
     signed = "signed" if options.key else "unsigned"
     lines = [f"companion of {name}: {options.autopilot} · {options.formation} · {signed}"]
@@ -221,12 +221,12 @@ def _begin_lines(scenario: Scenario, name: str, options: CompanionOptions) -> li
         lines.append(f"warning: {NEVER_FLOWN}")
         if options.key is None:
             lines.append("warning: --unsigned: anyone who reaches the port can fly the aircraft")
-        lines += [f"warning: {each}" for each in page_warnings(scenario)]
+        lines += [f"warning: {each}" for each in scenario_warnings(scenario)]
     return lines
 
 
 class _Printer:
-    """Print what the pilot is told."""
+    """Print the texts for the pilot."""
 
     def __init__(self, console: PipeSafeConsole) -> None:
         self._console = console
@@ -243,7 +243,7 @@ class _Printer:
 
 
 class _Supervised:
-    """Tell a service manager, if there is one, that the companion runs."""
+    """Notify a service manager, if there is one, that the companion runs."""
 
     def __init__(self) -> None:
         from testbed.companion.watchdog import Watchdog
@@ -251,22 +251,22 @@ class _Supervised:
         self._watchdog, self._is_ready = Watchdog(), False
 
     def sample(self, loop: CompanionLoop) -> None:
-        """Tell at the first sample that the companion is ready."""
+        """Notify at the first sample that the companion is ready."""
         if not self._is_ready:
             self._is_ready = True
             self._watchdog.ready()
 
     def text(self, boot_s: float, text: CompanionText) -> None:
-        """Tell the newest text as the state of the service."""
+        """Set the newest text as the state of the service."""
         self._watchdog.status(text.text)
 
     def alive(self, now_s: float) -> None:
-        """Tell that the loop runs."""
+        """Notify that the loop runs."""
         if self._is_ready:
             self._watchdog.alive(now_s)
 
     def close(self) -> None:
-        """Tell that it ends."""
+        """Notify that it ends."""
         self._watchdog.close()
 
 

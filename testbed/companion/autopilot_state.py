@@ -49,7 +49,7 @@ class AutopilotState:
         parameters: by ArduPlane's present names.
         received_s: when each message came last, by its name; s of the monotonic clock.
         counts: of the messages that have come, by name.
-        other_system: system id of an autopilot that is not the own one; 0: none was heard.
+        other_system: system id of an autopilot that is not the own one; 0: none was received.
     """
 
     def __init__(self, system: int) -> None:

@@ -16,7 +16,7 @@ from testbed.companion.observation import (
     STICKS,
     Observation,
 )
-from testbed.companion.page_digest import NEEDED_PARAMETERS, UNREAD, split_digests
+from testbed.companion.scenario_digest import NEEDED_PARAMETERS, UNREAD, split_digests
 from testbed.mavlink.vehicle_control import FlightMode
 from testbed.scenario.companion_flight import CompanionFlight
 
@@ -28,7 +28,7 @@ EARLIEST_MS = 1_577_836_800_000  # 2020-01-01
 FASTEST_MPS = 150.0  # no aircraft of a formation is faster
 GREATEST_HEIGHT_M = 10_000.0
 LEAST_TRIM_THROTTLE = 1.0  # %: above it ArduPlane uses the throttle of SET_ATTITUDE_TARGET
-TOLERANCE = 1e-3  # relative, of parameters that should be the page's
+TOLERANCE = 1e-3  # relative, of parameters that should be the scenario's
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,11 +36,11 @@ class EngagementLimits:
     """Bounds of a companion's flight.
 
     Attributes:
-        flight: section `controller.companion.flight` of the page.
+        flight: section `controller.companion.flight` of the scenario.
         leader: name of the leader.
         used: names of the aircraft that the law uses, the leader among them.
         same_parameters: names of aircraft whose limits and trims must equal the own ones.
-        parameters: of the autopilot, as the page assumes them, by ArduPlane's present names.
+        parameters: of the autopilot, as the scenario assumes them, by ArduPlane's present names.
         state_messages: that the own state is made of.
         reaches_aircraft: whether a link may lead to a real aircraft: then a fence and a receiver
             of the pilot's are needed, and the sticks are those of a pilot.
@@ -83,7 +83,7 @@ class Reason(Enum):
     LEADER_JUMP = "leader-jump"
     LEADER_SPEED = "leader-speed"
     PEER_AGE = "peer-age"
-    PAGE_DIFFERS = "page-differs"
+    SCENARIO_DIFFERS = "scenario-differs"
     PARAMETERS_DIFFER = "parameters-differ"
     PEER_UNREAD = "peer-unread"
     NO_TIME = "no-time"
@@ -253,7 +253,7 @@ def _airspeed(case: Case) -> str:
 
 def _no_fence(case: Case) -> str:
     needed = case.limits.reaches_aircraft and case.limits.flight.fence is None
-    return "page has no fence" if needed else ""
+    return "scenario has no fence" if needed else ""
 
 
 def _fence(case: Case) -> str:
@@ -330,8 +330,8 @@ def _leader_speed(case: Case) -> str:
     return "" if low <= speed <= high else f"{case.limits.leader} at {speed:.0f} m/s"
 
 
-def _page_differs(case: Case) -> str:
-    return _other_digest(case, 0, _received(case), "page")
+def _scenario_differs(case: Case) -> str:
+    return _other_digest(case, 0, _received(case), "scenario")
 
 
 def _parameters_differ(case: Case) -> str:
@@ -451,7 +451,7 @@ REASONS: Mapping[Reason, Row] = {
         lasts_s=1.0,
     ),
     Reason.NO_FENCE: Row(
-        "the page has no `fence`, and a link may reach an aircraft", _no_fence, Ending.NONE
+        "the scenario has no `fence`, and a link may reach an aircraft", _no_fence, Ending.NONE
     ),
     Reason.FENCE: Row("the aircraft is outside `fence`", _fence),
     Reason.NO_RECEIVER: Row(
@@ -463,7 +463,7 @@ REASONS: Mapping[Reason, Row] = {
     ),
     Reason.PARAMETERS: Row(
         "TRIM_THROTTLE is at most 1, so that ArduPlane ignores commanded throttle, or a parameter "
-        "is not that of the page's aircraft",
+        "is not that of the scenario's aircraft",
         _parameters,
     ),
     Reason.LEADER_AGE: Row("no message of the leader for `leader_age_s`", _leader_age),
@@ -480,7 +480,9 @@ REASONS: Mapping[Reason, Row] = {
         _peer_age,
         Ending.NONE,
     ),
-    Reason.PAGE_DIFFERS: Row("an aircraft that the law uses has another page", _page_differs),
+    Reason.SCENARIO_DIFFERS: Row(
+        "an aircraft that the law uses has another scenario", _scenario_differs
+    ),
     Reason.PARAMETERS_DIFFER: Row(
         "an aircraft of the same kind has other limits or trims", _parameters_differ
     ),
@@ -502,7 +504,7 @@ REASONS: Mapping[Reason, Row] = {
         Ending.NONE,
     ),
 }
-"""All reasons; of several that hold at once the first one is told."""
+"""All reasons; of several that hold at once the first one is reported."""
 
 
 def find_reasons(case: Case, *, engaged: bool) -> dict[Reason, str]:

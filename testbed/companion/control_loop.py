@@ -29,7 +29,7 @@ from testbed.companion.formation_messages import (
 )
 from testbed.companion.loop_statistics import LoopStatistics
 from testbed.companion.observation import Observation
-from testbed.companion.page_digest import (
+from testbed.companion.scenario_digest import (
     AGREED_PARAMETERS,
     UNREAD,
     join_digests,
@@ -47,7 +47,7 @@ PIECES = 64  # of the autopilot at one read
 WAIT_S = 0.05  # longest wait, so that it decides 20 times a second whatever comes
 DECIDE_S = 0.04  # between decisions without a new sample
 IGNORED_RATES = 7  # type_mask of SET_ATTITUDE_TARGET: attitude and thrust count
-GREET_S = 0.2  # between greetings of a hub, until the autopilot is heard
+ANNOUNCE_S = 0.2  # between HEARTBEATs to a hub, until the autopilot sends
 ANSWERED_S = 1.0  # in lockstep: after this wall time a sample that waits is broadcast again
 MS = 1000.0  # of a second; a division gives the digits of a run
 
@@ -63,30 +63,23 @@ class Gate(Protocol):
         """Whether the process may end."""
 
 
-class AtOnce:
-    """Command from the first sample on, whatever is observed: of a simulated aircraft."""
+class FixedGate:
+    """Decide the same whatever is observed.
 
-    @property
-    def may_end(self) -> bool:
-        """Whether the process may end."""
-        return True
+    Args:
+        commands: of a simulated aircraft, from the first sample on; else never, as of a leader,
+            whose state is broadcast.
+    """
 
-    def step(self, seen: Observation) -> Decision:
-        """Decide after an observation."""
-        return Decision(EngagementState.ENGAGED, True, None, (), ())
+    may_end = True
 
-
-class BroadcastOnly:
-    """Never command: of a leader, whose state is broadcast."""
-
-    @property
-    def may_end(self) -> bool:
-        """Whether the process may end."""
-        return True
+    def __init__(self, *, commands: bool) -> None:
+        state = EngagementState.ENGAGED if commands else EngagementState.WAITING
+        self._decision = Decision(state, commands, None, (), ())
 
     def step(self, seen: Observation) -> Decision:
-        """Decide after an observation."""
-        return Decision(EngagementState.WAITING, False, None, (), ())
+        """Return the decision."""
+        return self._decision
 
 
 class FlightListener(Protocol):
@@ -138,7 +131,7 @@ class CompanionLoop:
         control: FollowerControl,
         links: CompanionLinks,
         gate: Gate,
-        page: int,
+        scenario: int,
         listeners: Sequence[FlightListener] = (),
         *,
         lockstep: bool = False,
@@ -150,12 +143,17 @@ class CompanionLoop:
             control: of the aircraft.
             links: open ones.
             gate: decides when the aircraft is commanded.
-            page: digest of the page.
+            scenario: digest of the scenario.
             listeners: take what happens.
             lockstep: a step waits for the messages of its sample, and a run waits for the command.
-            notices: told once, with the first sample.
+            notices: sent once, with the first sample.
         """
-        self.control, self._links, self._gate, self._page = control, links, gate, page
+        self.control, self._links, self._gate, self._scenario_digest = (
+            control,
+            links,
+            gate,
+            scenario,
+        )
         self._listeners, self._lockstep = tuple(listeners), lockstep
         self._notices = list(notices)
         row, names = control.row, control.plan.names
@@ -181,11 +179,11 @@ class CompanionLoop:
         self._broadcast = b""  # of the newest sample
         self._waiting = False  # in lockstep: for the messages of the newest sample
         self._mark_ms = -1  # in lockstep: all messages up to this time have come
-        self._receipt_s: float | None = None  # that the hub says of the next message
+        self._receipt_s: float | None = None  # of the next message, by the hub
         self._inbox = FormationInbox(control, self._messages)
-        self._decided_s = self._greeted_s = -math.inf
+        self._decided_s = self._announced_s = -math.inf
         self._decision = Decision(EngagementState.WAITING, False, None, (), ())
-        self._heard, self._told_system = False, 0
+        self._has_autopilot, self._reported_system = False, 0
         self.error: Exception | None = None
         self.statistics = LoopStatistics([names[m] for m in control.used])
 
@@ -223,9 +221,9 @@ class CompanionLoop:
         Raises:
             ExternalProgramLost: the autopilot's device is gone.
         """
-        if not self._heard and time.monotonic() - self._greeted_s >= GREET_S:
-            self._greeted_s = time.monotonic()
-            self._greet()
+        if not self._has_autopilot and time.monotonic() - self._announced_s >= ANNOUNCE_S:
+            self._announced_s = time.monotonic()
+            self._announce()
         ends = self._links.autopilot, self._links.formation
         full = [self._links.autopilot] if self._links.autopilot.has_output else []
         ready, _, _ = select.select(ends, full, [], WAIT_S)
@@ -236,7 +234,7 @@ class CompanionLoop:
         if self._links.autopilot in ready:
             self._read_autopilot()
         now_s = time.monotonic()
-        if self._heard:
+        if self._has_autopilot:
             for frame in self._requests.due(self.state, now_s):
                 self._send(frame)
         self._answer_waiting()
@@ -245,8 +243,8 @@ class CompanionLoop:
         if stopping or now_s - self._decided_s >= DECIDE_S:
             self._decide(now_s, stopping=stopping)
 
-    def _greet(self) -> None:
-        """Tell a hub that this companion listens."""
+    def _announce(self) -> None:
+        """Send a HEARTBEAT to a hub, which replies to this address from then on."""
         if self._links.formation.address.kind == "hub":
             self._links.formation.send(heartbeat(self._formation))
 
@@ -265,18 +263,18 @@ class CompanionLoop:
                 elif message.name == "HEARTBEAT" and message.component == 1:
                     self._decided_s = -math.inf  # the mode may have changed
                     self._check_system()
-            self._heard = True
+            self._has_autopilot = True
         if ended_s is not None:  # of several that have waited, the newest alone is answered
             self._take_attitude(ended_s)
 
     def _check_system(self) -> None:
-        """Tell once that another aircraft's autopilot is at the link, and the own one is not."""
+        """Report once that the link has the autopilot of another aircraft only."""
         other = self.state.other_system
-        if not other or self.state.mode is not None or self._told_system == other:
+        if not other or self.state.mode is not None or self._reported_system == other:
             return
-        self._told_system = other
+        self._reported_system = other
         own = self.control.row + 1
-        self.say(
+        self.send_text(
             CompanionText(Severity.ERROR, f"autopilot has system id {other}, {own} is expected")
         )
 
@@ -306,7 +304,7 @@ class CompanionLoop:
         self.command, self._answer, self._waiting = False, b"", self._lockstep
         self._send_message()
         while self._notices:
-            self.say(self._notices.pop(0))
+            self.send_text(self._notices.pop(0))
         if not self._lockstep:
             self._read_formation()
             self._decide(time.monotonic())
@@ -339,7 +337,7 @@ class CompanionLoop:
         if known != self._digested:  # parameters that have come since
             self._digested = known
             parameters = parameter_digest(self.state.parameters) if known[1] else UNREAD
-            self._joined = join_digests(self._page, parameters)
+            self._joined = join_digests(self._scenario_digest, parameters)
         return self._joined
 
     def _read_formation(self) -> None:
@@ -389,7 +387,7 @@ class CompanionLoop:
         if decision.change_mode is not None:
             self._send(self._requests.change_mode(int(decision.change_mode)))
         for text in decision.texts:
-            self.say(text)
+            self.send_text(text)
 
     def observe(self, now_s: float, *, stopping: bool = False) -> Observation:
         """Return what is known at a time, s of the monotonic clock."""
@@ -418,7 +416,7 @@ class CompanionLoop:
             stopping=stopping or self.error is not None,
         )
 
-    def say(self, text: CompanionText) -> None:
+    def send_text(self, text: CompanionText) -> None:
         """Send a text to the ground station, and to the listeners."""
         for each in self._texts.make_text(text.severity, text.text):
             self._send(self._autopilot.pack(each.name, **each.fields))
@@ -442,7 +440,7 @@ class CompanionLoop:
             control.step(now)
         except Exception as error:  # of a law in Python: the aircraft is left in order
             self.error = error
-            self.say(CompanionText(Severity.ERROR, f"formation: the law failed: {error}"))
+            self.send_text(CompanionText(Severity.ERROR, f"formation: the law failed: {error}"))
             return
         statistics.step.add(time.perf_counter() - begun_s)
         target = control.target()

@@ -92,8 +92,8 @@ class Engagement:
         self._since: dict[Reason, float] = {}
         self._asks_until_s = -math.inf
         self._may_engage = False  # another mode than GUIDED was seen since it was last engaged
-        self._told: Reason | None = None
-        self._told_s = -math.inf
+        self._reported: Reason | None = None
+        self._reported_s = -math.inf
         self._compared = False
 
     def step(self, seen: Observation) -> Decision:
@@ -162,7 +162,7 @@ class Engagement:
         was, self._state = self._state, EngagementState.WAITING
         if found:
             return []
-        self._state, self._told = EngagementState.READY, None
+        self._state, self._reported = EngagementState.READY, None
         if was is EngagementState.READY:
             return []
         return [CompanionText(Severity.INFO, "formation ready: GUIDED engages it")]
@@ -174,15 +174,18 @@ class Engagement:
         return CompanionText(Severity.INFO, "formation engaged")
 
     def _waiting(self, now_s: float, found: dict[Reason, str]) -> list[CompanionText]:
-        """Tell why it waits: each reason once, until another is the first."""
+        """Report why it waits: each reason once, until another is the first."""
         first = next(iter(found), None)
-        if first in (None, Reason.STOPPING, self._told) or now_s - self._told_s < TEXT_EVERY_S:
+        if (
+            first in (None, Reason.STOPPING, self._reported)
+            or now_s - self._reported_s < TEXT_EVERY_S
+        ):
             return []
-        self._told, self._told_s = first, now_s
+        self._reported, self._reported_s = first, now_s
         return [CompanionText(Severity.WARNING, f"formation waits: {found[first]}")]
 
     def _heights(self, seen: Observation) -> list[CompanionText]:
-        """Tell once that the heights of all aircraft were compared on the ground."""
+        """Report once that the heights of all aircraft were compared on the ground."""
         heights = self._track.heights_m
         if self._compared or not set(self._limits.used) <= heights.keys():
             return []

@@ -25,9 +25,9 @@ from testbed.core.records import (
     LINK,
     Event,
     Record,
-    Records,
     RunInfo,
     allocate,
+    mark_unknown,
 )
 from testbed.core.samples import make_sample
 from testbed.formation.slots import write_formation_state
@@ -52,6 +52,8 @@ STATISTICS_NAME = "companion.json"
 FLUSH_S = 2.0  # of flight that a log loses at most where the companion is killed
 _LEVELS = {Severity.ERROR: "error", Severity.WARNING: "warning", Severity.INFO: "info"}
 _MOTION = ("position_ned", "velocity_ned", "acceleration_ned", "euler")
+# parts of an aircraft without a message
+_UNKNOWN = ("truth", "estimate", "air", "wind", "command", "control", "surfaces")
 
 
 class FlightRecord:
@@ -93,7 +95,7 @@ class FlightRecord:
         n = len(plan.names)
         self._aircraft, self._followers = allocate(AIRCRAFT, n), allocate(FOLLOWER, n - 1)
         self._links = allocate(LINK, n - 1, n)
-        _fill_unknown(self._aircraft, self._followers, self._links)
+        mark_unknown(self._aircraft, self._followers, self._links, _UNKNOWN)
         with registering():
             self._write_formation = bind_entry(
                 write_formation_state,
@@ -242,17 +244,3 @@ def _write_other(out: Record, link: Record, now: float) -> None:
         for name in _MOTION:
             part[name] = link[name]
         part["position_ned"] += ahead_s * link["velocity_ned"]
-
-
-def _fill_unknown(aircraft: Records, followers: Records, links: Records) -> None:
-    """Set what is not known to NaN."""
-    for name in ("truth", "estimate", "air", "wind", "command", "control", "surfaces"):
-        part = aircraft[name]
-        for each in part.dtype.names or ():
-            part[each] = math.nan
-    aircraft["wind"]["wake_delta_cl"] = 0.0
-    for name, (dtype, *_) in (FOLLOWER.fields or {}).items():
-        if dtype.base == np.float64:
-            followers[name] = math.nan
-    followers["slot_index"] = np.arange(1, len(followers) + 1)
-    links["age_s"] = math.nan

@@ -23,7 +23,7 @@ class _Waiting(NamedTuple):
 
     message: Message
     received_s: float  # by the monotonic clock
-    receipt_s: float | None  # s since boot, where a run says it
+    receipt_s: float | None  # s since boot, by a run in lockstep
 
 
 class FormationInbox:
@@ -49,7 +49,7 @@ class FormationInbox:
         Args:
             message: that was received.
             received_s: when, s of the monotonic clock.
-            receipt_s: when by a run, s since boot; None: it says nothing.
+            receipt_s: time of receipt by a run in lockstep, s since boot; None: not given.
         """
         row = self._messages.sender(message)
         if row is not None and row != self._control.row:

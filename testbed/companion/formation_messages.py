@@ -1,8 +1,8 @@
-"""Messages between aircraft: FOLLOW_TARGET with GPS time and the digests of page and parameters.
+"""Messages between aircraft: FOLLOW_TARGET with GPS time and digests.
 
 https://mavlink.io/en/messages/common.html#FOLLOW_TARGET. The definition counts `timestamp` from the
 sender's boot, which is no time that two aircraft share: here it is GPS time, ms since 1970, as the
-sender's autopilot has it. `custom_state` has the digests of `page_digest`.
+sender's autopilot has it. `custom_state` has the digests of scenario and parameters.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class FormationMessages:
         Args:
             message: (1,) of MESSAGE, of the own estimate.
             timestamp_ms: GPS time of the measurement, ms since 1970.
-            digests: of page and parameters.
+            digests: of scenario and parameters.
         """
         payload = self._payload
         self._convert.write(Broadcast(*(message[each] for each in Broadcast._fields)), payload)
@@ -76,7 +76,7 @@ class FormationMessages:
         return row if known else None
 
     def read(self, messages: Sequence[Message]) -> list[PeerMessage | None]:
-        """Return what messages with a `sender` say; None: numbers that no aircraft has."""
+        """Return the content of messages with a `sender`; None: numbers that no aircraft has."""
         payload = np.frombuffer(b"".join(map(_payload, messages)), PAYLOAD)
         content = self._convert.read(payload)
         plausible = _are_plausible(content)

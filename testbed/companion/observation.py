@@ -24,7 +24,7 @@ class PeerObservation:
         position_ned: in the frame of scenario.origin, m.
         velocity_ned: m/s.
         height_m: above mean sea level, m.
-        digests: `custom_state`: of its page and its autopilot's parameters.
+        digests: `custom_state`: of its scenario and its autopilot's parameters.
         offset_s: its time minus the own GPS time, s, as `ClockOffset` estimates it; NaN: unknown.
     """
 
@@ -61,7 +61,7 @@ class Observation:
             has no GPS time.
         sticks_us: pulses of the pilot's roll, pitch and yaw sticks, µs; None: no receiver.
         parameters: of the autopilot, by ArduPlane's present names.
-        digests: `custom_state` as the companion sends it: of its page and `parameters`.
+        digests: `custom_state` as the companion sends it: of its scenario and `parameters`.
         peers: aircraft that the law uses by name, the leader among them.
         stopping: the companion has got a signal to end.
     """

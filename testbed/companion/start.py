@@ -11,17 +11,16 @@ from pathlib import Path
 
 from testbed.companion.checks import EngagementLimits
 from testbed.companion.control_loop import (
-    AtOnce,
-    BroadcastOnly,
     CompanionLinks,
     CompanionLoop,
+    FixedGate,
     FlightListener,
     Gate,
 )
 from testbed.companion.engagement import CompanionText, Engagement, LeaveMode
 from testbed.companion.follower_control import FollowerControl
 from testbed.companion.formation_link import FormationAddress, FormationLink
-from testbed.companion.page_digest import AGREED_PARAMETERS, page_digest
+from testbed.companion.scenario_digest import AGREED_PARAMETERS, scenario_digest
 from testbed.core.errors import InputError
 from testbed.core.input_files import MAX_TABLE_BYTES, read_bounded
 from testbed.link.ends import EndAddress, open_end
@@ -88,18 +87,18 @@ class CompanionOptions:
 
 
 def digest_of(scenario: Scenario, folder: Path) -> int:
-    """Return the digest of a page: the resolved scenario, and all files that it names.
+    """Return the digest of a scenario: the resolved scenario, and all files that it names.
 
     Args:
         scenario: resolved.
         folder: of its file.
     """
-    page = snapshot(scenario, folder)
+    resolved = snapshot(scenario, folder)
     flight = scenario.controller.companion.model_dump(mode="json")
-    parts = [("page", json.dumps([page, flight], sort_keys=True).encode())]
+    parts = [("scenario", json.dumps([resolved, flight], sort_keys=True).encode())]
     files = referenced_files(referents(scenario))
     parts += [(name, read_bounded(file, MAX_TABLE_BYTES)) for name, file in files.items()]
-    return page_digest(parts)
+    return scenario_digest(parts)
 
 
 def flight_limits(
@@ -129,9 +128,9 @@ def flight_limits(
 def make_gate(scenario: Scenario, control: FollowerControl, options: CompanionOptions) -> Gate:
     """Return what decides when the aircraft is commanded."""
     if not control.row:
-        return BroadcastOnly()
+        return FixedGate(commands=False)
     if options.lockstep or options.at_once:
-        return AtOnce()
+        return FixedGate(commands=True)
     limits = flight_limits(
         scenario, control.plan, control, reaches_aircraft=options.reaches_aircraft
     )
@@ -165,7 +164,7 @@ def open_companion(
             return None
         return MessageSigner(Signing(options.key, link=link, time=now, strict=True))
 
-    wire = options.autopilot.kind != "udp"  # at which nobody else is
+    wire = options.autopilot.kind != "udp"  # without other programs
     with ExitStack() as closing:
         autopilot = open_end(options.autopilot)
         closing.callback(autopilot.close)

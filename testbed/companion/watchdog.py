@@ -1,4 +1,4 @@
-"""Tell systemd that a companion is ready, and with each pass of its loop that it runs.
+"""Notify systemd that a companion is ready, and with each pass of its loop that it runs.
 
 One datagram to the socket of $NOTIFY_SOCKET, as of sd_notify(3); without that variable nothing is
 sent, so that the companion runs by hand as it runs as a service.
@@ -41,11 +41,11 @@ class Watchdog:
         self._next_s = -math.inf
 
     def ready(self) -> None:
-        """Tell that the own state is read and the loop runs."""
+        """Notify that the own state is read and the loop runs."""
         self._send("READY=1")
 
     def alive(self, now_s: float) -> None:
-        """Tell that the loop runs; call it at each pass, from the loop and from nothing else.
+        """Notify that the loop runs; call it at each pass, from the loop and from nothing else.
 
         Args:
             now_s: monotonic clock.
@@ -56,11 +56,11 @@ class Watchdog:
         self._send("WATCHDOG=1")
 
     def status(self, text: str) -> None:
-        """Tell what `systemctl status` prints."""
+        """Set the text that `systemctl status` prints."""
         self._send(f"STATUS={' '.join(text.split())[:_LONGEST_STATUS]}")
 
     def close(self) -> None:
-        """Tell that the companion ends, and close the socket."""
+        """Notify that the companion ends, and close the socket."""
         self._send("STOPPING=1")
         if self._socket is not None:
             self._socket.close()

@@ -32,7 +32,7 @@ class CrashError(Portable):
         super().__init__(end)
 
 
-def run_forked(work: Callable[[Send], Any], receive: Callable[[Any], None]) -> Any:  # noqa: ANN401
+def run_in_fork(work: Callable[[Send], Any], receive: Callable[[Any], None]) -> Any:  # noqa: ANN401
     """Do work in a copy of this process, and return its result.
 
     Ctrl-C and SIGTERM are sent on to it. It ends with this process.

@@ -587,3 +587,26 @@ class Observer(Protocol):
 
     def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:
         """Finish with the metrics and the events after the last sample; called once."""
+
+
+def mark_unknown(
+    aircraft: Records, followers: Records, links: Records, parts: Sequence[str]
+) -> None:
+    """Set what a recording does not have to NaN.
+
+    Args:
+        aircraft: (N,) of AIRCRAFT; written.
+        followers: (n,) of FOLLOWER; written, with the slots in order.
+        links: (n, N) of LINK; written.
+        parts: of an aircraft, all of whose numbers are unknown.
+    """
+    for name in parts:
+        part = aircraft[name]
+        for each in part.dtype.names or ():
+            part[each] = math.nan
+    aircraft["wind"]["wake_delta_cl"] = 0.0
+    for name, (dtype, *_) in (FOLLOWER.fields or {}).items():
+        if dtype.base == np.float64:
+            followers[name] = math.nan
+    followers["slot_index"] = np.arange(1, len(followers) + 1)
+    links["age_s"] = math.nan

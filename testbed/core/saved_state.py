@@ -624,7 +624,7 @@ def _take_apart(each: Any, path: str) -> tuple[list[Back], list[tuple[object, st
 
 
 def _require_saved(each: Any) -> None:  # noqa: ANN401 - any object
-    """Refuse an object that says why it cannot be saved.
+    """Refuse an object with a reason why it cannot be saved.
 
     Raises:
         InputError: it does.

@@ -23,6 +23,7 @@ from testbed.core.records import (
     RunInfo,
     Sample,
     allocate,
+    mark_unknown,
 )
 from testbed.core.samples import make_sample
 from testbed.core.standard_atmosphere import density_ratio
@@ -61,6 +62,8 @@ from testbed.scenario.fields import MAX_DURATION_S
 
 _DRAWN = 5000  # points of the leader's path in a view
 _BLOCK = 1000  # samples that are interpolated at once
+# parts of an aircraft that logs of flights do not have
+_UNKNOWN = ("air", "wind", "command", "control", "surfaces")
 
 
 @dataclass(frozen=True, slots=True)
@@ -283,7 +286,7 @@ def _samples(
     count = len(tracks)
     aircraft, followers = allocate(AIRCRAFT, count), allocate(FOLLOWER, count - 1)
     links = allocate(LINK, count - 1, count)
-    _fill_unknown(aircraft, followers, links)
+    mark_unknown(aircraft, followers, links, _UNKNOWN)
     sample = make_sample(aircraft, followers, links, exact=True, faults=False)
     offsets, altitudes = plan.offsets, plan.altitudes
     for start in range(0, len(ticks), _BLOCK):
@@ -302,20 +305,6 @@ def _samples(
             yield sample._replace(
                 tick=tick, time_s=tick / base_rate_hz, events=events if first else ()
             )
-
-
-def _fill_unknown(aircraft: Records, followers: Records, links: Records) -> None:
-    """Set what logs of flights do not have to NaN."""
-    for name in ("air", "wind", "command", "control", "surfaces"):
-        part = aircraft[name]
-        for each in part.dtype.names or ():
-            part[each] = math.nan
-    aircraft["wind"]["wake_delta_cl"] = 0.0
-    for name, (dtype, *_) in (FOLLOWER.fields or {}).items():
-        if dtype.base == np.float64:
-            followers[name] = math.nan
-    followers["slot_index"] = np.arange(1, len(followers) + 1)
-    links["age_s"] = math.nan
 
 
 def _write_motion(row: Records, track: SampledTrajectory, k: int, origin: NedOrigin) -> None:

@@ -309,8 +309,8 @@ at communication points, whose steps are multiples of {1.0 / AUTOPILOT_HZ:g} s. 
 flying, fmi2DoStep returns fmi2Discard with fmi2Terminated, and outputs keep their values.</p>
 <h2>Variables</h2><table>{rows}</table>
 <h2>Airframe</h2><p>SHA-256 of the files that it is made of.</p><table>{listed}</table>
-<h2>Licences</h2><p>licenses/ has that of the testbed, which the library is compiled from, and what
-the aircraft's folder says of its own.</p>
+<h2>Licences</h2><p>licenses/ has that of the testbed, which the library is compiled from, and the
+licence files of the aircraft's folder.</p>
 </body></html>
 """
     members = {

@@ -82,7 +82,7 @@ class Archive:
         """Return the content of an entry.
 
         Raises:
-            InputError: it is damaged, or larger than `limit` or than the archive says.
+            InputError: it is damaged, or larger than `limit` or than its size in the archive.
         """
         entry = self._entries[name]
         limit = min(limit, entry.file_size)

@@ -86,7 +86,7 @@ def link_library(command: Sequence[str], sources: Sequence[Path], library: Path)
     Args:
         command: the compiler with its first arguments.
         sources: C and object files, in the folder in which the compiler works.
-        library: to be written; its suffix tells the format.
+        library: to be written; its suffix gives the format.
 
     Raises:
         InputError: the compiler cannot be started, or fails; with what it printed.

@@ -86,7 +86,7 @@ class FmuLibrary:
                 f"{archive.path}: {binary} cannot be loaded: {text[:_MAX_MESSAGE]} (build it for "
                 "this platform, with all libraries that it needs)"
             ) from error
-        self._said = ""  # by its logger, last
+        self._message = ""  # by its logger, last
         self._callbacks = self._make_callbacks()
 
     @property
@@ -131,7 +131,7 @@ class FmuLibrary:
             of = f" of {what}" if what else ""
             raise InputError(
                 f"{self.model.file}: fmi{self.model.version}{function}{of} returns "
-                f"{self.describe_status(status)}{self.last_words}"
+                f"{self.describe_status(status)}{self.last_message}"
             )
 
     def describe_status(self, status: int) -> str:
@@ -140,9 +140,9 @@ class FmuLibrary:
         return f"fmi{self.model.version}{_STATUS[status] if known else f'Status {status}'}"
 
     @property
-    def last_words(self) -> str:
-        """What the FMU has said last, in brackets; "": nothing."""
-        return f" (it says: {self._said})" if self._said else ""
+    def last_message(self) -> str:
+        """The last message of the FMU's logger, in brackets; "": there is none."""
+        return f" (its message: {self._message})" if self._message else ""
 
     def instantiate(self, name: str, owner: object) -> int:
         """Make an instance, and return its address.
@@ -155,12 +155,12 @@ class FmuLibrary:
             InputError: none is made.
         """
         make = self._make_2 if self.model.version == 2 else self._make_3
-        self._said = ""
+        self._message = ""
         instance = make(name.encode())
         if not instance:
             kind = "guid" if self.model.version == 2 else "instantiationToken"
             raise InputError(
-                f"{self.model.file}: makes no instance{self.last_words}; is {kind} in "
+                f"{self.model.file}: makes no instance{self.last_message}; is {kind} in "
                 f"{DESCRIPTION}, {self.model.token[:60]!r}, that of its binary?"
             )
         free = self._function("FreeInstance", _POINTER, returns=None)
@@ -172,10 +172,10 @@ class FmuLibrary:
         """Return what instances call; its logger keeps the last message."""
 
         def log_2(_: object, __: object, status: int, ___: object, text: bytes | None) -> None:
-            self._said = _plain(text)
+            self._message = _plain(text)
 
         def log_3(_: object, status: int, __: object, text: bytes | None) -> None:
-            self._said = _plain(text)
+            self._message = _plain(text)
 
         if self.model.version == 3:
             return _LOG_3(log_3)

@@ -1,4 +1,4 @@
-"""modelDescription.xml of an FMU: what it says about itself and its variables.
+"""Read modelDescription.xml of an FMU: its capabilities and its variables.
 
 Source: FMI 2.0.4, section 2.2 and 4.3, and FMI 3.0.1, section 2.4 and 4.4.
 """
@@ -84,7 +84,7 @@ class Variable:
 
 @dataclass(frozen=True, slots=True)
 class ModelDescription:
-    """What an FMU says about itself.
+    """Capabilities and variables of an FMU.
 
     Attributes:
         file: path of the FMU, for messages.
@@ -122,7 +122,7 @@ class ModelDescription:
 
 
 def read_description(archive: Archive) -> ModelDescription:
-    """Read what an FMU says about itself.
+    """Read the description of an FMU.
 
     Raises:
         InputError: it is damaged, of another version, no co-simulation FMU, or needs the tool that

@@ -58,7 +58,7 @@ FLAG_REFS, FLAG_COUNT, FLAG_VALUES = 16, 17, 18
 OUTPUT_REFS, OUTPUT_COUNT, OUTPUT_VALUES = 19, 20, 21
 INITIAL = 22  # address of the state before the first step
 VALUES_AT, FOUND_AT, COMMAND_AT = 23, 24, 25  # columns of the numbers
-STATE, SIZE, SAYS, INSTANCES, FLAGS_AT = 26, 27, 28, 32, 35  # scratch; addresses; flags
+STATE, SIZE, RETURNED, INSTANCES, FLAGS_AT = 26, 27, 28, 32, 35  # scratch; addresses; flags
 TIME_S, ROW, CALL, STATUS, STOP_S = 0, 1, 2, 3, 4  # places of a report
 
 
@@ -299,12 +299,14 @@ def _do_step(
     if words[VERSION] == 2:
         _check(report, _step_2(f, instance, begin_s, dt, keeps))
         return
-    at = words.ctypes.data + SAYS * WORD
+    at = words.ctypes.data + RETURNED * WORD
     for k in range(4):
-        words[SAYS + k] = 0
+        words[RETURNED + k] = 0
     event, ends, early, last = at, at + WORD, at + 2 * WORD, at + 3 * WORD
     _check(report, _step_3(f, instance, begin_s, dt, keeps, event, ends, early, last))
-    if (words[SAYS + 1] & 0xFF) or (words[SAYS + 2] & 0xFF):  # it ends, or has returned early
+    if (words[RETURNED + 1] & 0xFF) or (
+        words[RETURNED + 2] & 0xFF
+    ):  # it ends, or has returned early
         _check(report, DISCARD)
 
 

@@ -2,8 +2,8 @@
 
 The radio of the run decides which message arrives when, and double precision decides the digits of
 what follows from that. So before each FOLLOW_TARGET the run sends its time of receipt, as the sum
-of three single-precision numbers in DEBUG_FLOAT_ARRAY. A SYSTEM_TIME with the time of a sample says
-that all messages up to this time have come.
+of three single-precision numbers in DEBUG_FLOAT_ARRAY. A SYSTEM_TIME with the time of a sample
+follows the last message up to this time.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from testbed.core.code_digest import code_digest
 from testbed.core.errors import InputError
-from testbed.core.forked import CrashError, Send, run_forked
+from testbed.core.forked import CrashError, Send, run_in_fork
 from testbed.core.records import OwnState, Records
 from testbed.fmi.archive import Archive
 from testbed.fmi.instances import FmuLibrary, Value
@@ -83,8 +83,8 @@ def reporting_calls(report: CallReport) -> Iterator[None]:
         _shared.reset(token)
 
 
-# what an FMU is told, in the order of the functions in `fmu_step`
-TOLD = (
+# what a call is to do, in the order of the functions in `fmu_step`
+PURPOSES = (
     *("set inputs", "set inputs", "step", "return outputs", "read a state", "set a state"),
     *("return its state", "return the size of its state", "write its state", "free a state"),
 )
@@ -105,7 +105,7 @@ def describe_crash(
         when = "outside of a step" if begun else "when it was loaded or initialised"
         return f"{crash.end} {when}"
     when = f" at {calls.time_s:g} s" if begun else ", in the checks before the flight"
-    return f"{names[calls.aircraft]}{when}: {crash.end} when told to {TOLD[calls.call]}"
+    return f"{names[calls.aircraft]}{when}: {crash.end} in the call to {PURPOSES[calls.call]}"
 
 
 _tried: set[tuple[str, ...]] = set()  # in this process
@@ -134,7 +134,7 @@ def try_first(work: Callable[[], object], names: Sequence[str], *key: str) -> No
             work()
 
     try:
-        run_forked(report, lambda message: None)
+        run_in_fork(report, lambda message: None)
     except CrashError as crash:
         text = describe_crash(crash, calls, names, begun=False)
         raise InputError(f"{key[0]}: {text}") from None
@@ -251,7 +251,7 @@ class FmuLaw(CompiledLaw):
         names = call_names(self.library.model)
         if 0 <= call < len(names):
             text = self.library.describe_status(status)
-            raise InputError(f"{place}: {names[call]} returns {text}{self.library.last_words}")
+            raise InputError(f"{place}: {names[call]} returns {text}{self.library.last_message}")
         raise InputError(f"{place}: its desired velocity is zero (write one with a direction)")
 
     def _words_of(self, row: int) -> NDArray[np.int64]:

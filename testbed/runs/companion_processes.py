@@ -109,17 +109,17 @@ class CompanionProcesses:
         self._processes: list[_Process] = []
         self._folder: Path | None = None
 
-    def start(self, page: str, code: Mapping[str, bytes]) -> None:
+    def start(self, scenario: str, code: Mapping[str, bytes]) -> None:
         """Start all processes, each as the leader of a group of its own.
 
         They end with this process, however it ends.
 
         Args:
-            page: text of the resolved scenario.
+            scenario: text of the resolved one.
             code: files of its laws, by name.
         """
         folder = self._folder = Path(tempfile.mkdtemp(prefix="testbed-companions-"))
-        (folder / SCENARIO).write_text(page, encoding="utf-8")
+        (folder / SCENARIO).write_text(scenario, encoding="utf-8")
         for name, content in code.items():
             (folder / name).write_bytes(content)
         mode = "--lockstep" if self._lockstep else "--at-once"

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from testbed.core.errors import FlightError, InputError
-from testbed.core.forked import CrashError, Send, run_forked
+from testbed.core.forked import CrashError, Send, run_in_fork
 from testbed.logs.file_record import RECORD_NAME
 from testbed.logs.mcap_file import tail_path
 from testbed.logs.run_directory import LOG_NAME, METRICS_NAME, SCENARIO_NAME
 from testbed.metrics.model import Metrics
 from testbed.plan.fmu_law import (
-    TOLD,
+    PURPOSES,
     CallReport,
     describe_crash,
     opened_fmu,
@@ -61,37 +61,12 @@ def fly_fmu(
         InputError: it has crashed before the flight.
         Exception: what `fly` raises.
     """
+    flight, calls = _ForkedFlight(scenario, fly, report, external), CallReport()
     with opened_fmu(Path(scenario.controller.law)):
-        return _fly_forked(scenario, fly, folder, report, external)
-
-
-def _fly_forked(
-    scenario: Scenario,
-    fly: Fly,
-    folder: Path | None,
-    report: Report | None,
-    external: ExternalOptions,
-) -> tuple[Metrics, Path | None]:
-    flight = _ForkedFlight(scenario, fly, report, external)
-    calls = CallReport()
-    try:
-        return flight.run(folder, calls)
-    except CrashError as crash:
-        text = describe_crash(crash, calls, scenario.aircraft_names, begun=flight.begun)
-        if not flight.begun:
-            raise InputError(f"{scenario.controller.law}: {text}") from None
-        directory = flight.directory
-        if directory is not None:
-            alone = external == replace(external, **_PLAIN)
-            in_step = calls.call >= 0 and not crash.killed
-            if alone and in_step and _has_own_files(directory, scenario):
-                _delete_files(directory, scenario)
-                reason = f"{crash.end} when told to {TOLD[calls.call]}"
-                flight.run(directory, CallReport(calls.time_s, reason))  # raises a FlightError
-        error = FlightError(f"{scenario.controller.law}: {text}")
-        if directory is not None:
-            error.add_note(f"log: {directory}, which was cut (testbed recover finishes it)")
-        raise error from None
+        try:
+            return flight.run(folder, calls)
+        except CrashError as crash:
+            raise flight.error_of(crash, calls) from None
 
 
 _PLAIN: dict[str, Any] = {"mavlink": (), "pace": 0.0, "arduplane": None}
@@ -125,8 +100,34 @@ class _ForkedFlight:
             with reporting_calls(calls):
                 return self._fly(folder, report, external, lambda made: send(("begun", made)))
 
-        found: tuple[Metrics, Path | None] = run_forked(work, self._receive)
+        found: tuple[Metrics, Path | None] = run_in_fork(work, self._receive)
         return found
+
+    def error_of(self, crash: CrashError, calls: CallReport) -> Exception:
+        """Return the error of a crash, after the flight up to there if its log can be complete.
+
+        Args:
+            crash: of the process.
+            calls: of the FMU in it.
+
+        Raises:
+            FlightError: in the flight up to there.
+        """
+        scenario, directory = self._scenario, self.directory
+        text = describe_crash(crash, calls, scenario.aircraft_names, begun=self.begun)
+        if not self.begun:
+            return InputError(f"{scenario.controller.law}: {text}")
+        error = FlightError(f"{scenario.controller.law}: {text}")
+        if directory is None:
+            return error
+        alone = self._external == replace(self._external, **_PLAIN)
+        in_step = calls.call >= 0 and not crash.killed
+        if alone and in_step and _has_own_files(directory, scenario):
+            _delete_files(directory, scenario)
+            reason = f"{crash.end} in the call to {PURPOSES[calls.call]}"
+            self.run(directory, CallReport(calls.time_s, reason))  # raises a FlightError
+        error.add_note(f"log: {directory}, which was cut (testbed recover finishes it)")
+        return error
 
     def _receive(self, message: Any) -> None:  # noqa: ANN401 - a tuple of plain data
         kind, *values = message

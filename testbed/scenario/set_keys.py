@@ -28,7 +28,7 @@ _OF_EVERY_RUN: tuple[Keys, ...] = (
     ("expect",),
     ("log",),
     ("limits", "on_violation"),
-    ("controller", "companion", "flight"),  # of the same page on aircraft
+    ("controller", "companion", "flight"),  # of the same scenario on aircraft
     *(
         ("scenario", key)
         for key in (

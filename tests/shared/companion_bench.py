@@ -11,7 +11,7 @@ from testbed.companion.engagement import LeaveMode
 from testbed.companion.follower_control import FollowerControl
 from testbed.companion.formation_link import parse_formation
 from testbed.companion.formation_messages import FormationMessages
-from testbed.companion.page_digest import AGREED_PARAMETERS
+from testbed.companion.scenario_digest import AGREED_PARAMETERS
 from testbed.companion.start import CompanionOptions, digest_of, open_companion
 from testbed.core.geodetic import geodetic_from_ned
 from testbed.link.ends import parse_end
@@ -62,7 +62,7 @@ class CompanionBench:
         self.autopilot = self._socket(0)
         self.codec = Codec(control.row + 1, 1)
         self.peers = {row: Codec(row + 1, 191) for row in (0, 1)}
-        self.page = digest_of(scenario, folder)
+        self.scenario = digest_of(scenario, folder)
         self.received = []
         self._waits = False
         self._closing = ExitStack()
@@ -228,7 +228,7 @@ class CompanionBench:
         }
 
     def give_parameters(self, **changes):
-        """Answer all requests for parameters by those of the page."""
+        """Answer all requests for parameters by those of the scenario."""
         params = self.plan.aircraft[self.control.row].params
         for index, name in enumerate(AGREED_PARAMETERS):
             value = changes.get(name, getattr(params, name.lower(), 1.0))

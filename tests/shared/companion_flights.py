@@ -11,12 +11,12 @@ from testbed.companion.observation import (
     Observation,
     PeerObservation,
 )
-from testbed.companion.page_digest import UNREAD, join_digests
+from testbed.companion.scenario_digest import UNREAD, join_digests
 from testbed.scenario.companion_flight import CompanionFlight, FlightFence
 
 FBWA, GUIDED = 5, 15
 SPEED = 20.0
-PAGE, PARAMETERS = 0x1234ABCD, 0x99887766
+SCENARIO, PARAMETERS = 0x1234ABCD, 0x99887766
 PERIOD_S = 0.04
 LIMITS = EngagementLimits(
     CompanionFlight(fence=FlightFence(radius_m=5000, floor_m=30, ceiling_m=200)),
@@ -43,7 +43,7 @@ def peer(now_s, east_m, **changes):
         "position_ned": (SPEED * now_s, east_m, -100.0),
         "velocity_ned": (SPEED, 0.0, 0.0),
         "height_m": 300.0,
-        "digests": join_digests(PAGE, PARAMETERS),
+        "digests": join_digests(SCENARIO, PARAMETERS),
         "offset_s": -0.01,
     }
     return PeerObservation(**(known | changes))
@@ -67,7 +67,7 @@ def observe(now_s, mode=FBWA, **changes):
         "base_ms": 1_900_000_000_000,
         "sticks_us": (1500.0, 1500.0, 1500.0),
         "parameters": GOOD_PARAMETERS,
-        "digests": join_digests(PAGE, PARAMETERS),
+        "digests": join_digests(SCENARIO, PARAMETERS),
         "peers": {"leader": peer(now_s, 10.0), "uav1": peer(now_s, -10.0)},
     }
     return Observation(**(known | changes))
@@ -136,14 +136,14 @@ BREAKS = {
     Reason.EKF_FLAGS: [own(ekf_flags=1 | 2 | 4 | 32), own(ekf_flags=55 | 32768)],
     Reason.EKF_VARIANCE: [own(ekf_variances=(0.1, 0.8)), own(ekf_variances=(math.nan,))],
     Reason.AIRSPEED: [own(airspeed_mps=13.9)],
-    Reason.NO_FENCE: [],  # of the page
+    Reason.NO_FENCE: [],  # of the scenario
     Reason.FENCE: [
         own(position_ned=(0.0, 5001.0, -100.0)),
         own(position_ned=(0.0, 0.0, -201.0)),
         own(position_ned=(0.0, 0.0, -29.0)),
     ],
     Reason.NO_RECEIVER: [own(sticks_us=None), old(STICKS, age_s=3.1)],
-    Reason.NO_PARAMETERS: [own(parameters={}), own(digests=join_digests(PAGE, UNREAD))],
+    Reason.NO_PARAMETERS: [own(parameters={}), own(digests=join_digests(SCENARIO, UNREAD))],
     Reason.PARAMETERS: [parameters(TRIM_THROTTLE=0.0), parameters(ROLL_LIMIT_DEG=45.0)],
     Reason.LEADER_AGE: [other("leader", age_s=1.1), other("leader", age_s=math.inf)],
     Reason.LEADER_JUMP: [moved_leader, other("leader", position_ned=(math.nan, 0.0, 0.0))],
@@ -153,12 +153,12 @@ BREAKS = {
         other("leader", velocity_ned=(math.nan, 0.0, 0.0)),
     ],
     Reason.PEER_AGE: [other("uav1", age_s=1.1)],
-    Reason.PAGE_DIFFERS: [
-        other("uav1", digests=join_digests(PAGE + 1, PARAMETERS)),
-        other("leader", digests=join_digests(PAGE + 1, PARAMETERS)),
+    Reason.SCENARIO_DIFFERS: [
+        other("uav1", digests=join_digests(SCENARIO + 1, PARAMETERS)),
+        other("leader", digests=join_digests(SCENARIO + 1, PARAMETERS)),
     ],
-    Reason.PARAMETERS_DIFFER: [other("uav1", digests=join_digests(PAGE, PARAMETERS + 1))],
-    Reason.PEER_UNREAD: [other("uav1", digests=join_digests(PAGE, UNREAD))],
+    Reason.PARAMETERS_DIFFER: [other("uav1", digests=join_digests(SCENARIO, PARAMETERS + 1))],
+    Reason.PEER_UNREAD: [other("uav1", digests=join_digests(SCENARIO, UNREAD))],
     Reason.NO_TIME: [own(base_ms=None), own(base_ms=1_000_000_000_000)],
     Reason.TIME_JUMP: [own(base_ms=1_900_000_000_150), own(base_ms=1_899_999_999_850)],
     Reason.CLOCKS_APART: [other("uav1", offset_s=0.25), other("leader", offset_s=-1.0)],

@@ -11,7 +11,7 @@ import time
 
 from waiting import TIMEOUT_S
 
-from testbed.companion.page_digest import AGREED_PARAMETERS
+from testbed.companion.scenario_digest import AGREED_PARAMETERS
 from testbed.core.records import NedOrigin
 from testbed.mavlink.codec import Codec
 from testbed.mavlink.signing import signing_time

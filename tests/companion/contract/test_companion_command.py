@@ -16,7 +16,7 @@ from waiting import TIMEOUT_S, until
 import testbed
 from testbed.companion.start import digest_of
 
-PAGE = """
+SCENARIO_TEXT = """
 scenario: {schema: 2, name: pair, duration_s: 60}
 leader:
   aircraft: rascal110
@@ -34,10 +34,10 @@ SIMULATED_S = 6
 LOCAL = ("--autopilot", "udpin:127.0.0.1:14999", "--formation", "hub:127.0.0.1:14998")
 
 
-def write_page(folder):
-    page = folder / "page.yaml"
-    page.write_text(PAGE, "utf-8")
-    return page
+def write_scenario(folder):
+    scenario = folder / "scenario.yaml"
+    scenario.write_text(SCENARIO_TEXT, "utf-8")
+    return scenario
 
 
 def start(folder, name, *options):
@@ -45,7 +45,7 @@ def start(folder, name, *options):
     errors = folder / f"{name}.txt"
     with errors.open("wb") as output:
         process = subprocess.Popen(
-            [sys.executable, "-m", "testbed", "companion", "page.yaml", "--as", name, *options],
+            [sys.executable, "-m", "testbed", "companion", "scenario.yaml", "--as", name, *options],
             cwd=folder,
             env=environment(100),
             stdout=subprocess.DEVNULL,
@@ -63,7 +63,7 @@ def start(folder, name, *options):
 def flight(tmp_path_factory):
     """In lockstep, signed: a run, and the companions of its leader and its follower."""
     folder = tmp_path_factory.mktemp("flight")
-    write_page(folder)
+    write_scenario(folder)
     ports = [free_port() for _ in range(2)]
     peers = "peers:" + ",".join(f"127.0.0.1:{free_port()}" for _ in range(2))
     key = folder / "key.txt"
@@ -83,7 +83,7 @@ def flight(tmp_path_factory):
         mavlink = [word for port in ports for word in ("--mavlink", f"udpout:127.0.0.1:{port}")]
         external = "fleet.uav1.commanded_by={kind: external, lockstep: true}"
         done = subprocess.run(
-            [sys.executable, "-m", "testbed", "run", "page.yaml", "--set", external, *mavlink]
+            [sys.executable, "-m", "testbed", "run", "scenario.yaml", "--set", external, *mavlink]
             + ["--pace", "0", "--duration", str(SIMULATED_S), "--out", "run", "--quiet", *signed],
             cwd=folder,
             env=environment(100),
@@ -187,11 +187,11 @@ def test_files_are_whole_and_read_by_commands(flight):
     ],
 )
 def test_wrong_options_are_one_error_line(options, reason, tmp_path):
-    write_page(tmp_path)
-    done = call_command("companion", "page.yaml", *options, cwd=tmp_path, code=2, columns=300)
+    write_scenario(tmp_path)
+    done = call_command("companion", "scenario.yaml", *options, cwd=tmp_path, code=2, columns=300)
     (line,) = done.stderr.splitlines()
     assert line.startswith("error: ") and reason in line
-    assert [each.name for each in tmp_path.iterdir()] == ["page.yaml"]
+    assert [each.name for each in tmp_path.iterdir()] == ["scenario.yaml"]
 
 
 def test_help_begins_with_what_was_never_flown():
@@ -201,7 +201,7 @@ def test_help_begins_with_what_was_never_flown():
     assert first < text.index("safety pilot") < text.index("SET_ATTITUDE_TARGET")
 
 
-def test_page_is_told_by_its_content_only(tmp_path):
+def test_digest_is_of_the_content_only(tmp_path):
     """Not by the folder it is in; by a number of it, of its bounds, and of its law's file."""
     digests = {}
     for name, change in {
@@ -212,7 +212,7 @@ def test_page_is_told_by_its_content_only(tmp_path):
     }.items():
         folder = tmp_path / name
         folder.mkdir()
-        scenario = testbed.load_scenario(str(write_page(folder)), change)
+        scenario = testbed.load_scenario(str(write_scenario(folder)), change)
         digests[name] = digest_of(scenario, folder)
     assert digests["one"] == digests["other"]
     assert len(set(digests.values())) == 3

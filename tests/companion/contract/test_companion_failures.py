@@ -100,7 +100,7 @@ FAILURES = [
     (jumping, "position jumped 30 m", 0.0, True),
     (leader_silent, "leader silent", 1.0, True),
     (leader_jumping, "leader jumped", 0.0, True),
-    (wrong_page, "has other page", 0.0, True),
+    (wrong_page, "has other scenario", 0.0, True),
     (other_parameters, "has other parameters", 0.0, True),
     (late_clock, "leader", 1.0, True),  # its clock, or a jump by what it flies in this time
 ]

@@ -179,7 +179,7 @@ def test_garbage_changes_nothing(bench):
     assert bench.loop.decision.command
 
 
-def test_another_page_is_refused(bench):
+def test_another_scenario_is_refused(bench):
     bench.give_parameters()
     for _ in range(5):
         bench.sample()
@@ -192,7 +192,7 @@ def test_another_page_is_refused(bench):
     bench.mode = GUIDED
     bench.sample(with_peers=False)
     assert not bench.commands()
-    assert any("leader has other page" in each for each in bench.listening.texts)
+    assert any("leader has other scenario" in each for each in bench.listening.texts)
 
 
 def test_forged_and_replayed_messages_are_refused(scenario, control):
@@ -289,7 +289,7 @@ def test_of_waiting_samples_the_newest_is_answered(bench):
     assert command.fields["time_boot_ms"] == bench.boot_ms
 
 
-def test_another_aircraft_at_the_link_is_told_once(bench):
+def test_another_aircraft_at_the_link_is_reported(bench):
     bench.codec = Codec(7, 1)
     for _ in range(3):
         bench.sample()
@@ -340,7 +340,7 @@ def test_law_begins_again_with_each_engagement(bench, monkeypatch):
     assert len(restarted) == 2
 
 
-def test_unsigned_links_that_leave_are_told(scenario, control):
+def test_unsigned_links_that_leave_are_reported(scenario, control):
     """Also to the ground station, in one STATUSTEXT."""
     for unsigned, place, told in ((True, "0.0.0.0", 1), (False, "127.0.0.1", 0)):
         bench = CompanionBench(scenario, FOLDER, control, unsigned=unsigned, place=place)

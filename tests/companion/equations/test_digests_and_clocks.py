@@ -1,4 +1,4 @@
-"""Digests of page and parameters, and the offset of another aircraft's clock."""
+"""Digests of scenario and parameters, and the offset of another aircraft's clock."""
 
 import math
 import random
@@ -7,28 +7,28 @@ import pytest
 from companion_flights import GOOD_PARAMETERS
 
 from testbed.companion.clock_offset import WINDOW_S, ClockOffset
-from testbed.companion.page_digest import (
+from testbed.companion.scenario_digest import (
     AGREED_PARAMETERS,
     NEEDED_PARAMETERS,
     join_digests,
-    page_digest,
     parameter_digest,
+    scenario_digest,
     split_digests,
 )
 
-PAGE = [("scenario", b"formation: 1"), ("law.py", b"def law(): ...")]
+FILES = [("scenario", b"formation: 1"), ("law.py", b"def law(): ...")]
 
 
 def test_digest_is_of_contents_in_any_order():
-    assert page_digest(PAGE) == page_digest(PAGE[::-1])
+    assert scenario_digest(FILES) == scenario_digest(FILES[::-1])
     others = [
-        [PAGE[0], ("law.py", b"def law(): ... ")],
-        [PAGE[0], ("laws.py", PAGE[1][1])],
-        [("scenario", b"formation: 1law.py"), ("", PAGE[1][1])],  # the same bytes, cut elsewhere
-        PAGE[:1],
+        [FILES[0], ("law.py", b"def law(): ... ")],
+        [FILES[0], ("laws.py", FILES[1][1])],
+        [("scenario", b"formation: 1law.py"), ("", FILES[1][1])],  # the same bytes, cut elsewhere
+        FILES[:1],
         [],
     ]
-    digests = {page_digest(each) for each in (PAGE, *others)}
+    digests = {scenario_digest(each) for each in (FILES, *others)}
     assert len(digests) == 6 and all(0 <= each < 2**32 for each in digests)
 
 
@@ -49,7 +49,7 @@ def test_digest_of_parameters_is_of_limits_and_trims():
 
 
 def test_both_digests_pass_through_custom_state():
-    one, two = page_digest(PAGE), parameter_digest(GOOD_PARAMETERS)
+    one, two = scenario_digest(FILES), parameter_digest(GOOD_PARAMETERS)
     state = join_digests(one, two)
     assert 0 <= state < 2**64 and split_digests(state) == (one, two)
     assert split_digests(join_digests(0, 2**32 - 1)) == (0, 2**32 - 1)

@@ -154,12 +154,12 @@ def test_a_jump_is_remembered_for_seconds(reason):
     assert not any(each.command for each in refused) and reason in refused[0].reasons
 
 
-def test_page_without_fence_is_refused_near_aircraft():
-    open_page = dataclasses.replace(LIMITS, flight=CompanionFlight())
-    flight = Pass(open_page)
+def test_scenario_without_fence_is_refused():
+    without_fence = dataclasses.replace(LIMITS, flight=CompanionFlight())
+    flight = Pass(without_fence)
     assert flight.fly(1, FBWA)[-1].reasons == (Reason.NO_FENCE,)
     assert not flight.fly(1, GUIDED)[-1].command
-    Pass(dataclasses.replace(open_page, reaches_aircraft=False)).engage()
+    Pass(dataclasses.replace(without_fence, reaches_aircraft=False)).engage()
 
 
 def on_the_ground(apart_m, speed=0.0):

@@ -160,7 +160,7 @@ def test_crash_leaves_a_complete_log(tmp_path):
     """A segmentation fault is an error with the FMU's name; the log ends before that step."""
     need_compiler()
     file = write_law(tmp_path, "crashing", "CRASH_S=5.0")
-    text = r"crashing\.fmu: uav1 at 5\.04 s: crashed \(SIGSEGV\) when told to step"
+    text = r"crashing\.fmu: uav1 at 5\.04 s: crashed \(SIGSEGV\) in the call to step"
     with pytest.raises(FlightError, match=text):
         testbed.run(file, duration_s=10.0, out=tmp_path / "cut")
     result = run_task(FlightTask(0, set_duration(load_scenario(file), 6.0)))  # of a study

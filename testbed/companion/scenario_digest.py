@@ -1,7 +1,7 @@
-"""Digests by which companions find that they fly different pages or different parameters.
+"""Digests by which companions find that they fly different scenarios or different parameters.
 
-FOLLOW_TARGET has 8 bytes for the sender's own use, `custom_state`: here 4 of the page's digest and
-4 of the parameters'. They find mistakes; against forgery messages are signed.
+FOLLOW_TARGET has 8 bytes for the sender's own use, `custom_state`: here 4 of the scenario's digest
+and 4 of the parameters'. They find mistakes; against forgery messages are signed.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ NEEDED_PARAMETERS = (
 )
 
 
-def page_digest(parts: Iterable[tuple[str, bytes]]) -> int:
-    """Return the digest of a page.
+def scenario_digest(parts: Iterable[tuple[str, bytes]]) -> int:
+    """Return the digest of a scenario.
 
     Args:
         parts: name and content: the resolved scenario, the file of the law, files of gains.
@@ -48,14 +48,14 @@ def parameter_digest(parameters: Mapping[str, float]) -> int:
         for name in AGREED_PARAMETERS
         if name in parameters and math.isfinite(parameters[name])
     ]
-    return page_digest([("parameters", "".join(lines).encode())]) or UNREAD + 1
+    return scenario_digest([("parameters", "".join(lines).encode())]) or UNREAD + 1
 
 
-def join_digests(page: int, parameters: int) -> int:
+def join_digests(scenario: int, parameters: int) -> int:
     """Return `custom_state` of FOLLOW_TARGET."""
-    return page | parameters << 8 * _BYTES
+    return scenario | parameters << 8 * _BYTES
 
 
 def split_digests(custom_state: int) -> tuple[int, int]:
-    """Return the digests of the page and of the parameters in `custom_state`."""
+    """Return the digests of the scenario and of the parameters in `custom_state`."""
     return custom_state & 0xFFFFFFFF, custom_state >> 8 * _BYTES & 0xFFFFFFFF

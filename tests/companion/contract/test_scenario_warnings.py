@@ -1,8 +1,8 @@
-"""Warnings about a page before it flies."""
+"""Warnings about a scenario before it flies."""
 
 import pytest
 
-from testbed.companion.page_warnings import page_warnings
+from testbed.companion.scenario_warnings import scenario_warnings
 from testbed.scenario import load_scenario
 
 SAFE = (
@@ -13,7 +13,7 @@ SAFE = (
 
 def warned(*settings):
     """The keys that are warned of."""
-    found = page_warnings(load_scenario("simulation-3", [*SAFE, *settings]))
+    found = scenario_warnings(load_scenario("simulation-3", [*SAFE, *settings]))
     return [text.partition(":")[0].split(" is ")[0] for text in found]
 
 
@@ -27,7 +27,7 @@ def warned(*settings):
         (["controller.safety=null"], ["controller.safety"]),
     ],
 )
-def test_page_is_warned_of_what_costs_metres(settings, keys):
+def test_scenario_is_warned_of_what_costs_metres(settings, keys):
     assert warned(*settings) == keys
 
 

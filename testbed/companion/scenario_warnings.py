@@ -1,4 +1,4 @@
-"""What of a page is worth a warning before it flies on aircraft."""
+"""What of a scenario is worth a warning before it flies on aircraft."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from testbed.scenario import Scenario
 LONGEST_NEIGHBOUR_S = 1.0
 
 
-def page_warnings(scenario: Scenario) -> Iterator[str]:
+def scenario_warnings(scenario: Scenario) -> Iterator[str]:
     """Return warnings for the start of a companion, with what to write instead."""
     controller = scenario.controller
     neighbour_s = controller.neighbour_timeout_s
