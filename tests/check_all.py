@@ -36,6 +36,11 @@ class Part(NamedTuple):
 
 PARTS = (
     Part("all tests", "that of `make test`", "make test"),
+    Part(
+        "cases that `make test` draws from",
+        "all of them",
+        "TESTBED_CASES=all pytest tests paper/tests",
+    ),
     Part("release", "built and flown from a new environment", "make release"),
     Part(
         "theorem",
