@@ -1,17 +1,24 @@
-"""A benchmark of two tasks of 20 s, flown in this process's copies, for tests."""
+"""A benchmark of two tasks of 20 s and few seeds, flown in this process's copies, for tests."""
 
 import hashlib
 import json
 import shutil
+from contextlib import nullcontext
 from pathlib import Path
 
+from cases import ALL
+
+from testbed.benchmark import campaign, probes, result, verify
 from testbed.benchmark.campaign import Campaign, fly_campaign, practice_seeds
 from testbed.benchmark.entry import open_entries
 from testbed.benchmark.limited_flight import FlightLimits
+from testbed.benchmark.seeds import PRACTICE
 from testbed.benchmark.task import default_folder
 from testbed.pool.flight_task import run_task
 
 LIMITS = FlightLimits(cpu_s=30, wall_s=60)
+SEEDS = PRACTICE if ALL else PRACTICE[:3]
+FLIGHTS = 2 * len(SEEDS)  # of an entry
 LAW = '''"""{doc}"""
 import numpy as np
 from testbed.law import FbwaCommand
@@ -62,6 +69,17 @@ class Here:
                 raise KeyboardInterrupt
             self.flown.append(task)
             yield run_task(task)
+
+
+def fly_here(patch, here=None) -> Here:
+    """Let campaigns fly these seeds in a pool of this process, without margins of the entries."""
+    here = here or Here()
+    for module in (campaign, verify):
+        patch.setattr(module, "open_flight_pool", lambda **_: nullcontext(here))
+    for module in (campaign, result):
+        patch.setattr(module, "PRACTICE", SEEDS)
+    patch.setattr(probes, "BANKS_DEG", ())  # of which test_probes has one
+    return here
 
 
 def write_tasks(folder: Path) -> Path:

@@ -5,25 +5,15 @@ import re
 
 import pytest
 from commands import call_command
-from tiny_benchmark import Here, write_law, write_tasks
+from tiny_benchmark import SEEDS, fly_here, write_law, write_tasks
 
 import testbed
-import testbed.benchmark.campaign as campaign
 import testbed.benchmark.task as task_module
-from testbed.benchmark import probes, verify
 from testbed.benchmark.entry import open_law
 
 
 def command(*words, cwd, code=0):
     return call_command(*words, cwd=cwd, code=code, columns=200)
-
-
-class Block:
-    def __enter__(self):
-        return Here()
-
-    def __exit__(self, *_):
-        return None
 
 
 @pytest.fixture(scope="module")
@@ -33,10 +23,8 @@ def tasks(tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def _tiny(monkeypatch, tasks):
-    for module in (campaign, verify):
-        monkeypatch.setattr(module, "open_flight_pool", lambda **_: Block())
+    fly_here(monkeypatch)
     monkeypatch.setattr(task_module, "default_folder", lambda: tasks)
-    monkeypatch.setattr(probes, "BANKS_DEG", ())  # of which test_probes has one
     task_module.load_benchmark.cache_clear()
     yield
     task_module.load_benchmark.cache_clear()
@@ -48,9 +36,8 @@ def flown(tmp_path_factory, tasks):
     folder = tmp_path_factory.mktemp("flown")
     word = write_law(folder / "mine.py")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(campaign, "open_flight_pool", lambda **_: Block())
+        fly_here(patch)
         patch.setattr(task_module, "default_folder", lambda: tasks)
-        patch.setattr(probes, "BANKS_DEG", ())
         task_module.load_benchmark.cache_clear()
         done = command(
             *("benchmark", word, "hbh23", "--out", folder / "out", "--json", folder / "all.json"),
@@ -172,6 +159,6 @@ def test_a_wrong_word_is_refused(words, reason, tmp_path):
 def test_one_task_has_no_rank(tmp_path):
     words = ("benchmark", "hbh23", "--task", "gentle", "--out", "out")
     done = command(*words, cwd=tmp_path)
-    assert "no rank: 12 flights are missing" in done.stdout
+    assert f"no rank: {len(SEEDS)} flights are missing" in done.stdout
     page = (tmp_path / "out" / "benchmark.html").read_text()
-    assert "No ranks: flights are missing (hbh23: 12)" in page
+    assert f"No ranks: flights are missing (hbh23: {len(SEEDS)})" in page
