@@ -3,15 +3,17 @@
 import contextlib
 import os
 import socket
-import subprocess
 import sys
 import tempfile
 from pathlib import Path
 
 import pytest
+from commands import environment
+from forked import Forked
 from run_flight import Collector
 
 import testbed
+from testbed.cli.main import main
 from testbed.core.errors import ExternalProgramLost
 from testbed.core.records import FbwaCommand, VehicleState, fields_of
 from testbed.plan.world import build
@@ -47,7 +49,9 @@ def ardupilot(number=0, **keys):
 def binary(tmp_path, monkeypatch):
     """Provide the stand-in as a program, with temporary folders beside it."""
     program = tmp_path / "arduplane"
-    program.write_text(f'#!/bin/sh\nexec "{sys.executable}" "{STAND_IN}" "$@"\n')
+    program.write_text(
+        f'#!/bin/sh\nNUMBA_DISABLE_JIT=1 exec "{sys.executable}" "{STAND_IN}" "$@"\n'
+    )
     program.chmod(0o755)
     (tmp_path / "folders").mkdir()
     monkeypatch.setenv("ARDUPLANE", str(program))
@@ -78,10 +82,15 @@ def running():
 
 def run_in_child(folder):
     """Start a run with an ArduPlane in a process group of its own."""
-    code = "import sys, testbed; sys.exit(testbed.run(sys.argv[1], sys.argv[2:]).exit_code)"
     (folder / "two.yaml").write_text(SCENARIO)
-    command = [sys.executable, "-c", code, "two.yaml", f"leader.autopilot={ardupilot()}"]
-    return subprocess.Popen(command, cwd=folder, start_new_session=True)
+    words = "run", "two.yaml", "--set", f"leader.autopilot={ardupilot()}"
+    return Forked("arduplanes:main_here", *words, cwd=folder, env=environment(80))
+
+
+def main_here():
+    """Run a command with temporary files in the folder of this process's environment."""
+    tempfile.tempdir = os.environ["TMPDIR"]
+    main()
 
 
 def make_scenario(seconds, *overrides, **keys):

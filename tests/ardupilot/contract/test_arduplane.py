@@ -51,10 +51,12 @@ def fingerprint(frames):
     return digest.hexdigest()
 
 
-def test_mixed_flight_repeats_to_the_bit(binary):
+def test_mixed_flight_repeats_to_the_bit(binary, monkeypatch):
+    """Also if an answer to ArduPlane is lost, which asks for it again."""
     mixed = set_duration(load_scenario("simulation-3", [f"leader.autopilot={ardupilot()}"]), 2.0)
-    first, second = fly(mixed), fly(mixed)
-    assert fingerprint(first) == fingerprint(second)
+    first = fly(mixed)
+    monkeypatch.setenv("ARDUPLANE_STAND_IN", f"resend@{SOON}")
+    assert fingerprint(first) == fingerprint(fly(mixed))
     # its servo pulses are whole µs: 500 are full deflection
     pulses = 500.0 * np.array([frame.surfaces.aileron for frame in first[1:]])
     assert np.abs(pulses[:, 0] - np.rint(pulses[:, 0])).max() < 1e-9
@@ -62,7 +64,10 @@ def test_mixed_flight_repeats_to_the_bit(binary):
 
 
 def test_metrics_and_table_show_arduplane_versions(binary, tmp_path):
-    result = run(make_scenario(1.0), out=tmp_path / "run")
+    lines = []
+    quiet = ExternalOptions(announce=lines.append, quiet=True)
+    result = run(make_scenario(1.0), out=tmp_path / "run", external=quiet)
+    assert not lines
     (name,) = result.metrics["arduplane"]
     assert result.metrics["arduplane"] == {name: "4.7.1 (stand-in)"}
     output = io.StringIO()
@@ -71,7 +76,9 @@ def test_metrics_and_table_show_arduplane_versions(binary, tmp_path):
 
 
 def test_virtual_autopilots_beside_it_are_unchanged(binary):
-    _, mixed = fly_level(make_scenario(2.0))
+    """Estimator and GPS of the ArduPlane are off, of which it would tell."""
+    events, mixed = fly_level(make_scenario(2.0))
+    assert not [event.text for event in events if "EKF3" in event.text]
     events, virtual = fly_level(set_duration(loads(SCENARIO), 2.0))
     assert not events
     for one, other in zip(mixed, virtual, strict=True):
@@ -116,17 +123,11 @@ def test_elevon_aircraft_flies(binary):
 def test_32_outputs_and_overrides_fly_the_same(binary, monkeypatch):
     plain = fly(make_scenario(3.0))[-1].truth
     monkeypatch.setenv("ARDUPLANE_STAND_IN", "outputs32 ignores-rc")
-    events, _ = fly_level(make_scenario(1.0))
+    events, _ = fly_level(make_scenario(0.1))
     assert any("RC_CHANNELS_OVERRIDE" in event.text for event in events)
     other = fly(make_scenario(3.0))[-1].truth
     # overrides arrive an autopilot period or two later, at 22 m/s
     np.testing.assert_allclose(other.position_ned, plain.position_ned, atol=0.5)
-
-
-def test_lost_answer_is_sent_again(binary, monkeypatch):
-    plain = fingerprint(fly(make_scenario(2.0)))
-    monkeypatch.setenv("ARDUPLANE_STAND_IN", f"resend@{SOON}")
-    assert fingerprint(fly(make_scenario(2.0))) == plain
 
 
 def test_faults_act_behind_the_servo_outputs(binary):
@@ -189,10 +190,10 @@ def test_stopped_run_leaves_no_process_or_folder(binary, tmp_path):
         until(lambda: list((tmp_path / "logs").glob("*/*/run.mcap")))
         until(running)
         os.killpg(child.pid, signal.SIGINT)  # to the process group, as Ctrl-C does
-        assert child.wait(timeout=TIMEOUT_S) == 130
+        assert child.wait(TIMEOUT_S) == 130
     finally:
         child.kill()
-        child.wait()
+        child.wait(TIMEOUT_S)
 
 
 def test_killed_run_leaves_no_process_or_folder(binary, tmp_path):
@@ -201,7 +202,7 @@ def test_killed_run_leaves_no_process_or_folder(binary, tmp_path):
         until(running)
     finally:
         child.kill()
-        child.wait()
+        child.wait(TIMEOUT_S)
     until(lambda: not running() and not list((tmp_path / "folders").iterdir()))
 
 
@@ -246,8 +247,6 @@ def test_several_arduplanes_cause_one_warning(binary):
     run(two, write=False, external=ExternalOptions(announce=lines.append))
     assert [line.startswith("warning") for line in lines] == [False, False, True]
     assert lines[-1].endswith("can command leader, uav1")
-    run(two, write=False, external=ExternalOptions(announce=lines.append, quiet=True))
-    assert len(lines) == 3
 
 
 def test_sitl_gyro_filter_is_named_before_flight(binary):
@@ -258,11 +257,6 @@ def test_sitl_gyro_filter_is_named_before_flight(binary):
         texts = [e.text for e in world.initial_events if "gyro filter" in e.text]
         begin = f"leader: SITL at rates.physics_hz {rate} has a gyro filter of {cutoff} in place"
         assert [text.startswith(begin) for text in texts] == [True] * (cutoff is not None)
-
-
-def test_estimator_and_gps_are_off(binary):
-    events, _ = fly_level(make_scenario(2.0))
-    assert not [event.text for event in events if "EKF3" in event.text]
 
 
 def test_separately_started_arduplane_is_awaited(binary, tmp_path):
