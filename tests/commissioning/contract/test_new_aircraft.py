@@ -5,9 +5,11 @@ import re
 import shutil
 import struct
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import pytest
+from cases import ALL
 from commands import call_command
 
 import testbed
@@ -22,21 +24,45 @@ from testbed.vehicle.jsbsim_adapter import SHARED_FILES, linearize_aircraft, tri
 from testbed.vehicle.trim import TrimPoint
 
 COLLECTION = SHARED_FILES / "aircraft"
-SPEED = 55.0
 FORMATION = """
 scenario: {{schema: 2, name: two, duration_s: 80, windows: {{straight: [60, 80]}}}}
 leader:
   aircraft: {folder}
   start: {{altitude_m: 400}}
-  path: {{kind: virtual, speed_mps: 55, curve: {{kind: straight}}}}
+  path: {{kind: virtual, speed_mps: {speed}, curve: {{kind: straight}}}}
 fleet:
   - {{name: uav1, aircraft: {folder}, start_m: [-50, 25, 0]}}
   - {{name: uav2, aircraft: {folder}, start_m: [-50, -25, 0]}}
 formation:
   offsets_m: {{uav1: [-30, 25, 0], uav2: [-30, -25, 0]}}
   leader_gains: {{uav1: 1, uav2: 1}}
-  speed_mps: [40, 70]
+  speed_mps: {speeds}
 """
+
+
+class Kind(NamedTuple):
+    """An aircraft of the collection.
+
+    Attributes:
+        file: its name.
+        engines: files of its engine and thruster.
+        speed: of its cruise, m/s.
+        slowest: m/s, above that of its slowest level flight.
+        fastest: (low, high), m/s, about that of its fastest level flight.
+        circle_s: when its formation of three is on the circle.
+    """
+
+    file: str
+    engines: tuple[str, str]
+    speed: float
+    slowest: float
+    fastest: tuple[float, float]
+    circle_s: float
+
+
+TURBOPROP = Kind("t6texan2", ("PT6A-68", "direct"), 85.0, 50.0, (140.0, 160.0), 90.0)
+# a fixed propeller, which settles after each change of the throttle: ten times as slow
+PISTON = Kind("c172p", ("eng_io320", "prop_75in2f"), 55.0, 30.0, (60.0, 75.0), 70.0)
 
 
 def file_of(name):
@@ -48,27 +74,32 @@ def new_aircraft(cwd, file, *options, code=0):
     return call_command(*arguments, cwd=cwd, code=code, columns=100)
 
 
+@pytest.fixture(scope="module", params=[TURBOPROP, *[PISTON] * ALL], ids=lambda each: each.file)
+def kind(request):
+    return request.param
+
+
 @pytest.fixture(scope="module")
-def cessna(tmp_path_factory):
-    """Folder, document and output of the c172p, a piston aircraft with a fixed propeller."""
+def kite(kind, tmp_path_factory):
+    """Folder, document and output of a new aircraft."""
     cwd = tmp_path_factory.mktemp("new")
-    options = "--speed", SPEED, "--into", cwd / "cessna", "--json", cwd / "found.json"
+    options = "--speed", kind.speed, "--into", cwd / "kite", "--json", cwd / "found.json"
     options += "--plot", cwd / "printed.png", "--width", 3.5, "--no-title"
-    done = new_aircraft(cwd, "c172p", *options)
-    return cwd / "cessna", json.loads((cwd / "found.json").read_text()), done
+    done = new_aircraft(cwd, kind.file, *options)
+    return cwd / "kite", json.loads((cwd / "found.json").read_text()), done
 
 
-def test_new_aircraft_has_all_its_files(cessna):
-    folder, document, done = cessna
+def test_new_aircraft_has_all_its_files(kite, kind):
+    folder, document, done = kite
     files = {str(each.relative_to(folder)) for each in folder.rglob("*") if each.is_file()}
     assert files == {
-        *("cessna.xml", "Engines/eng_io320.xml", "Engines/prop_75in2f.xml", "autopilot.param"),
+        *("kite.xml", *(f"Engines/{each}.xml" for each in kind.engines), "autopilot.param"),
         *("middle_loop.yaml", "guidance.yaml", "envelope.png", "SOURCE.md"),
         "formation-of-three.yaml",
     }
-    assert (folder / "cessna.xml").read_bytes() == file_of("c172p").read_bytes()
-    assert [each.name for each in folder.parent.iterdir() if each.is_dir()] == ["cessna"]
-    assert document["aircraft"] == "cessna" and document["cut"] == document["declared"] == []
+    assert (folder / "kite.xml").read_bytes() == file_of(kind.file).read_bytes()
+    assert [each.name for each in folder.parent.iterdir() if each.is_dir()] == ["kite"]
+    assert document["aircraft"] == "kite" and document["cut"] == document["declared"] == []
     for text in ("level flight", "fly-by-wire A", "testbed trim", "formation.speed_pole_per_s"):
         assert text in done.stdout
     data = (folder.parent / "printed.png").read_bytes()
@@ -77,43 +108,47 @@ def test_new_aircraft_has_all_its_files(cessna):
         assert text in done.stderr
 
 
-def test_new_aircraft_follows_its_autopilot(cessna):
-    _, document, _ = cessna
+def test_new_aircraft_follows_its_autopilot(kite, kind):
+    _, document, _ = kite
     level, last = document["level_flight"], document["flights"][-1]
-    assert level["lowest"] < 30.0 < SPEED < 60.0 < level["highest"] < 75.0
+    low, high = kind.fastest
+    assert level["lowest"] < kind.slowest < kind.speed < low < level["highest"] < high
     assert last["problem"] == "" and last["flown_s"] == DURATION_S
     assert last["roll_rise_s"] < 1.2 and abs(last["roll_overshoot"]) < 0.05
     assert last["pitch_rise_s"] < 0.6 and abs(last["pitch_overshoot"]) < 0.1
 
 
-def test_written_gains_are_those_of_the_document(cessna):
-    folder, document, _ = cessna
+def test_written_gains_are_those_of_the_document(kite, kind):
+    folder, document, _ = kite
     params = read_params(folder / "autopilot.param")
     assert params.airspeed_stall < params.airspeed_min < params.airspeed_cruise
     assert params.airspeed_cruise < params.airspeed_max
     gains = load_middle_loop(folder, "tuned")
     assert gains.course.p == document["middle_loop"]["course"]["p"]
-    assert gains.trim_airspeed_mps == SPEED
+    assert gains.trim_airspeed_mps == kind.speed
     source = (folder / "SOURCE.md").read_text(encoding="utf-8")
     assert "no number was measured on a real aircraft" in source
     assert f"{document['speed_pole_per_s']:.2f} 1/s" in source
 
 
-def test_formation_of_new_aircraft_flies(cessna, tmp_path):
+def test_formation_of_new_aircraft_flies(kite, kind, tmp_path):
     """In its own folder: three behind a fourth, within the speeds of the autopilot, on a climb."""
-    folder, document, _ = cessna
-    flown = testbed.run(folder / "formation-of-three.yaml", duration_s=70.0, out=tmp_path / "run")
+    folder, document, _ = kite
+    file = folder / "formation-of-three.yaml"
+    flown = testbed.run(file, duration_s=kind.circle_s, out=tmp_path / "run")
     errors = flown.metrics["windows"]["circle"]["rms_m"]
     assert set(errors) == {"uav1", "uav2", "uav3"} and max(errors.values()) < 1.0
     assert flown.outcome == "completed"
-    pole = load_scenario(str(folder / "formation-of-three.yaml")).formation.speed_pole_per_s
+    pole = load_scenario(str(file)).formation.speed_pole_per_s
     assert pole == pytest.approx(document["speed_pole_per_s"], abs=0.01)
 
 
-def test_two_new_aircraft_hold_their_slots(cessna):
-    """The aim is 0.1 m RMS straight; measured 0.04."""
-    folder, _, _ = cessna
-    flown = testbed.run(loads(FORMATION.format(folder=folder)), write=False)
+def test_two_new_aircraft_hold_their_slots(kite, kind):
+    """The aim is 0.1 m RMS straight; measured 0.03 of the turboprop, 0.04 of the piston."""
+    folder, _, _ = kite
+    speeds = [kind.speed - 15.0, kind.speed + 15.0]
+    text = FORMATION.format(folder=folder, speed=kind.speed, speeds=speeds)
+    flown = testbed.run(loads(text), write=False)
     errors = flown.metrics["windows"]["straight"]["rms_m"]
     assert set(errors) == {"uav1", "uav2"} and max(errors.values()) < 0.1
 

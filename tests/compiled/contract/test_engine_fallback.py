@@ -80,6 +80,9 @@ def odd_and_large(statements):
     ]
 
 
+AT_THE_START = odd_and_large(8), LIMITED["at the start"]
+
+
 def test_odd_and_large_elements_are_compiled(tmp_path):
     """Source of full length is parsed; that of which each statement costs time is compiled."""
     for name in ("long", "short"):
@@ -89,9 +92,7 @@ def test_odd_and_large_elements_are_compiled(tmp_path):
     assert min(source.count("least("), source.count("chosen(")) >= 210
     compile(source, "source", "exec")
     assert len(source) < 100_000
-    engine = find_engine(
-        make(tmp_path / "short", odd_and_large(8), LIMITED["at the start"]), RATE_HZ
-    )
+    engine = find_engine(make(tmp_path / "short", *AT_THE_START), RATE_HZ)
     assert engine.compiled is not None, engine.reasons
 
 
@@ -150,8 +151,7 @@ def test_components_at_a_limit_are_flown_by_jsbsim(tmp_path, monkeypatch, where)
     """The proof places before it runs; what is compiled for the other is that of a test above."""
     if where == "in the proof":
         monkeypatch.setattr(compiled_fleet, "prepare", lambda *_: None)
-    functions = odd_and_large(20) if where == "at the start" else ()
-    kite = make(tmp_path, functions, LIMITED[where])
+    kite = make(tmp_path, *(AT_THE_START if where == "at the start" else ((), LIMITED[where])))
     assert (find_engine(kite, RATE_HZ).compiled is None) == (where == "in the proof")
     run = fly(kite)
     assert (run.metrics["engine"], run.outcome) == ("jsbsim", "completed")
