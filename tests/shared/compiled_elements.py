@@ -284,7 +284,9 @@ if __name__ == "__main__":
     results = {
         name: unequal(make(Path(sys.argv[1]), name, changes)) for name, changes in MADE.items()
     }
-    elevons = AIRCRAFT / "skywalker_x8"
-    results["twin"] = unequal(changed(AIRCRAFT / "rascal110", Path(sys.argv[1]), TWIN))
+    elevons, rascal = AIRCRAFT / "skywalker_x8", AIRCRAFT / "rascal110"
+    glider = (r"<propulsion.*?</propulsion>", "")
+    results["glider"] = unequal(changed(rascal, Path(sys.argv[1]) / "glider", glider))
+    results["twin"] = unequal(changed(rascal, Path(sys.argv[1]), TWIN))
     results["elevons"] = unequal(elevons, JSBSIM_DEFAULT_INTEGRATORS)
     print(json.dumps(results | {name: unequal_with(fault) for name, fault in FAULTS.items()}))

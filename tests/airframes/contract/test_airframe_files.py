@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from aircraft_copies import of_jsbsim
+from cases import ALL
 from commands import children, environment
 from places import SHARED, TESTS
 from snapshot import check_snapshot
@@ -217,7 +218,7 @@ def test_engine_files_are_checked_in_every_folder(folder, name):
 
 def test_drawn_aircraft_write_and_run_nothing(tmp_path):
     """Aircraft of JSBSim's grammar, most of which try to act; TESTBED_AIRCRAFT is their number."""
-    count = int(os.environ.get("TESTBED_AIRCRAFT", "8"))
+    count = int(os.environ.get("TESTBED_AIRCRAFT", "8" if ALL else "5"))
     done = subprocess.run(
         [sys.executable, SHARED / "airframe_fuzz.py", str(count), tmp_path],
         env=environment(80),

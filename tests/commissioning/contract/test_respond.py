@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import ALL
 from places import ROOT
 from typer.testing import CliRunner
 
@@ -26,6 +27,7 @@ from testbed.commissioning.command_files import (
 from testbed.commissioning.replay_commands import ReplaySetup, replay_one
 from testbed.commissioning.response_comparison import best_shift, compare_response
 from testbed.core.errors import InputError
+from testbed.vehicle import jsbsim_adapter
 from testbed.vehicle.jsbsim_adapter import airframe, trim_aircraft
 from testbed.vehicle.trim import TrimPoint
 
@@ -226,8 +228,14 @@ def test_respond_without_recorded_tune_says_so(commands, tmp_path):
     assert "tune autopilot" in done.stdout
 
 
-def test_fit_is_written_as_an_aircraft(commands, setup, tmp_path):
-    """An aircraft with 0.8 of the aileron power and 60 ms, found again without noise."""
+def test_fit_is_written_as_an_aircraft(commands, setup, tmp_path, monkeypatch):
+    """An aircraft with 0.8 of the aileron power and 60 ms, found again without noise.
+
+    The traits of the candidates are those of the Rascal, as in `test_fit_finds_planted_values`.
+    """
+    if not ALL:
+        traits = jsbsim_adapter._find_traits(RASCAL)
+        monkeypatch.setattr(jsbsim_adapter._find_traits, "_function", lambda folder: traits)
     copy_with_factors(RASCAL, tmp_path / "true", {"aileron": 0.8})
     late = replace(setup, timing=AutopilotTiming(command_latency=0.06))
     commands = replace(commands, values=commands.values[:750])  # 30 s

@@ -83,7 +83,7 @@ def setup():
 
 def test_model_with_planted_values_repeats_a_flight(planted, setup, tmp_path):
     """Without sensor errors the two loops differ by rounding."""
-    commands = record(tmp_path / "exact.csv", planted, 1, 20.0, "truth")
+    commands = record(tmp_path / "exact.csv", planted, 1, 10.0, "truth")
     same = replace(setup, timing=AutopilotTiming(command_latency=PLANTED["latency"]))
     found = compare_response(commands, replay_one(planted, commands, same)).quantities
     assert found["roll"].rms < 1e-4 and found["airspeed"].rms < 1e-3

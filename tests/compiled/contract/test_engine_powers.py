@@ -9,6 +9,7 @@ import re
 import shutil
 
 import pytest
+from cases import ALL
 from run_flight import Collector
 from test_engine import assert_equal
 
@@ -93,9 +94,12 @@ def test_flights_with_powers_are_equal(tmp_path, base):
     assert_equal(flown["compiled"], flown["jsbsim"])
 
 
-@pytest.mark.parametrize("glider", [False, True])
+@pytest.mark.parametrize("glider", [False, *[True] * (WHOLE or ALL)])
 def test_models_with_powers_are_equal(tmp_path, glider):
-    """Each number after each step, with random controls and gusts."""
+    """Each number after each step, with random controls and gusts.
+
+    A glider without powers is compared in `test_compiled_elements`.
+    """
     kite = make(tmp_path, "rascal110", glider=glider)
     comparison = Comparison(CompiledAircraft(kite, load(kite, RATE_HZ)), RATE_HZ)
     wanted = 50 * DURATION_S * RATE_HZ

@@ -29,7 +29,7 @@ def differences(tmp_path_factory):
     return json.loads(done.stdout)
 
 
-@pytest.mark.parametrize("name", [*MADE, "twin", "elevons"])
+@pytest.mark.parametrize("name", [*MADE, "twin", "elevons", "glider"])
 def test_elements_equal_jsbsim(differences, name):
     assert differences[name] == ""
 

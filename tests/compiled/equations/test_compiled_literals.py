@@ -30,6 +30,7 @@ from testbed.core.compile import is_interpreted
 
 COUNT = int(os.environ.get("TESTBED_LITERALS", "1000"))
 WHOLE = COUNT >= 100_000
+LARGEST = 15_000  # characters of functions that are compiled at once
 PLAIN = "product sum difference quotient lt gt le ge eq nq min max"  # of which a sample is enough
 
 pytestmark = pytest.mark.skipif(is_interpreted(), reason="what a compiler does is tested")
@@ -39,17 +40,31 @@ def sampled(texts, every):
     return texts if WHOLE else texts[::every]
 
 
+def parts(texts):
+    """Yield functions in parts, as a compiler takes longer for all of them at once."""
+    part = {}
+    for name, text in texts.items():
+        part[name] = text
+        if sum(map(len, part.values())) > LARGEST or text == [*texts.values()][-1]:
+            yield part
+            part = {}
+
+
 def test_functions_equal_jsbsim(tmp_path):
     """With NaN, infinities, both zeros, denormals and breakpoints among the arguments."""
     made = functions()
     simple = [name for name in made if name.split()[0] in PLAIN.split() and " at " in name]
     left_out = set(simple) - set(sampled(simple, 20))
-    both = Both(tmp_path, {k: text for k, text in made.items() if k not in left_out}, [])
-    arguments = arguments_of(COUNT, special=True)
-    ours, chosen = both.compiled(arguments)
-    assert len(chosen) == len(both.names) > 80
-    different = differing(ours, both.jsbsim(arguments))
-    assert dict(zip(both.names, different.tolist(), strict=True)) == dict.fromkeys(both.names, 0)
+    arguments, compared = arguments_of(COUNT, special=True), 0
+    for number, part in enumerate(parts({k: v for k, v in made.items() if k not in left_out})):
+        both = Both(tmp_path / str(number), part, [])
+        ours, chosen = both.compiled(arguments)
+        assert len(chosen) == len(both.names)
+        different = differing(ours, both.jsbsim(arguments))
+        found = dict(zip(both.names, different.tolist(), strict=True))
+        assert found == dict.fromkeys(both.names, 0)
+        compared += len(chosen)
+    assert compared > 80
 
 
 def test_all_functions_of_the_translator_are_compared():

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import ALL as EVERY_CASE
+from cases import in_full
 from compiled_elements import ALL, make, unequal
 from places import ROOT
 
@@ -26,11 +28,10 @@ RATE_HZ = 200
 TROPOPAUSE_FT = 11_000 / 0.3048
 CASES = [
     ("rascal110", INTEGRATORS),
-    ("rascal110", JSBSIM_DEFAULT_INTEGRATORS),
     ("skywalker_x8", INTEGRATORS),
 ]
-if STATES > 50:  # in `test_compiled_elements` it runs as Python
-    CASES.append(("skywalker_x8", JSBSIM_DEFAULT_INTEGRATORS))
+if STATES > 50 or EVERY_CASE:  # in `test_compiled_elements` the second of them runs as Python
+    CASES += [(name, JSBSIM_DEFAULT_INTEGRATORS) for name in ("rascal110", "skywalker_x8")]
 
 
 def compiled(name, integrators=INTEGRATORS):
@@ -54,8 +55,12 @@ def test_a_minute_with_gusts_equals_jsbsim(name):
     assert comparison.unequal == ""
 
 
+@in_full
 def test_made_up_elements_equal_jsbsim(tmp_path):
-    """They are compiled here; `test_compiled_elements` runs them one by one as Python."""
+    """They are compiled here; `test_compiled_elements` runs them one by one as Python.
+
+    `test_compiled_literals` compiles functions and components, without a flight model.
+    """
     assert unequal(make(tmp_path, "made", ALL)) == ""
 
 

@@ -28,12 +28,12 @@ PAGES = {
     "vee": ("vee-30", ["fleet.count=6", "scenario.duration_s=4"]),
     "turbulence and estimates": (
         "turbulence-moderate",
-        ["scenario.duration_s=3", "leader.sensors=pixhawk", "fleet.*.sensors=pixhawk"],
+        ["scenario.duration_s=1.5", "leader.sensors=pixhawk", "fleet.*.sensors=pixhawk"],
     ),
     "unsynchronised messages": (
         "bursty-wifi",
         [
-            "scenario.duration_s=4",
+            "scenario.duration_s=2",
             "rates.log_hz=50",
             "network.broadcast={uav2: {period_s: 0.0173, phase_s: 0.004}}",
         ],
@@ -45,7 +45,7 @@ PAGES = {
     "a battery": (
         "experiment-3",
         [
-            "scenario.duration_s=6",
+            "scenario.duration_s=3.5",
             "fleet.uav2.faults=[{kind: battery-low, state_of_charge: 0.3, at_s: 2}]",
         ],
     ),
