@@ -133,6 +133,7 @@ def test_results_in_memory_are_bounded(folder):
 
 
 TWO = """
+import os
 import sys
 from pathlib import Path
 from testbed.compiled.compiled_fleet import place_row
@@ -140,35 +141,44 @@ from testbed.core.records import NedOrigin
 from testbed.vehicle.trim import InitialState
 
 start = InitialState((0.0, 0.0, -100.0))
-placed = place_row(Path(sys.argv[1]), start, NedOrigin(), 100)
-print(placed.row.tobytes().hex(), placed.leads.tobytes().hex(), placed.trim)
+for line in sys.stdin:
+    children = []
+    for file in line.split():
+        children.append(os.fork())
+        if not children[-1]:
+            placed = place_row(Path(sys.argv[1]), start, NedOrigin(), 100)
+            text = f"{placed.row.tobytes().hex()} {placed.leads.tobytes().hex()} {placed.trim}"
+            Path(file).write_text(text)
+            os._exit(0)
+    print([os.waitpid(each, 0)[1] for each in children], flush=True)
 """
 
 
 def test_processes_at_once_have_one_result(folder, tmp_path):
     """They begin with machine code and no results, and with half of each result."""
-    cache, found = tmp_path / "cache", set()
+    cache, files = tmp_path / "cache", [tmp_path / f"found-{k}" for k in range(4)]
     here = cache_folder()
     shutil.copytree(here, cache / here.name, ignore=shutil.ignore_patterns("result-*"))
+    with subprocess.Popen(
+        [sys.executable, "-c", TWO, str(folder)],
+        env={**environment(80), "NUMBA_CACHE_DIR": str(cache)},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as process:
 
-    def start():
-        options = {**environment(80), "NUMBA_CACHE_DIR": str(cache)}
-        command = [sys.executable, "-c", TWO, str(folder)]
-        return subprocess.Popen(command, env=options, stdout=subprocess.PIPE, text=True)
+        def of_both(names):
+            process.stdin.write(" ".join(map(str, names)) + "\n")
+            process.stdin.flush()
+            assert process.stdout.readline() == "[0, 0]\n"
 
-    def of_both():
-        both = [start(), start()]
-        for each in both:
-            text, _ = each.communicate(timeout=300)
-            assert each.returncode == 0
-            found.add(text)
-
-    of_both()
-    kept = [*cache.glob("*/result-place-row-*")]
-    assert len(kept) == 1
-    for each in cache.glob("*/result-*"):
-        each.write_bytes(each.read_bytes()[: each.stat().st_size // 2])
-    of_both()
+        of_both(files[:2])
+        kept = [*cache.glob("*/result-place-row-*")]
+        assert len(kept) == 1
+        for each in cache.glob("*/result-*"):
+            each.write_bytes(each.read_bytes()[: each.stat().st_size // 2])
+        of_both(files[2:])
+    found = {each.read_text() for each in files}
     assert len(found) == 1, "a result that is read differs from one that is made"
 
 
