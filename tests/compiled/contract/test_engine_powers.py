@@ -1,13 +1,15 @@
 """Aircraft with powers of literals in drag, moments, gains and filters: both engines fly the same.
 
-LLVM replaces some of these powers by other functions, which differ in the last bit. A sample of
-2 s of one aircraft; 120 s of both with TESTBED_ENGINES=1.
+LLVM replaces some of these powers by other functions, which differ in the last bit. The aircraft
+has limits of a stall's hysteresis, too, as compiling another one takes seconds. A sample of 2 s of
+one aircraft; 120 s of both with TESTBED_ENGINES=1.
 """
 
 import os
 import re
 import shutil
 
+import numpy as np
 import pytest
 from cases import ALL
 from run_flight import Collector
@@ -37,6 +39,11 @@ def term(axis, text):
     return f'<axis name="{axis}"><function name="aero/made-{axis}">{product}</function>'
 
 
+STALLED = "aero/stall-hyst-norm"
+LIMITS = (
+    '<hysteresis_limits unit="DEG"> <min> 4 </min> <max> 9 </max> </hysteresis_limits>'
+    f'<function name="made/stall"><product><v>0.3</v><p>{STALLED}</p></product></function>'
+)
 SYSTEM = f"""<system name="made"><channel name="made">
 <fcs_function name="made/pow"><function>{powers(SPEED)}</function></fcs_function>
 <lag_filter name="made/lag"><input> made/pow </input><c1> 7 </c1></lag_filter>
@@ -55,7 +62,7 @@ WAYPOINT = (
 
 
 def make(folder, base, *, glider=False):
-    """Copy an aircraft, with powers in its drag, moments, a gain and a filter."""
+    """Copy an aircraft, with powers in its drag, moments, a gain and a filter, and with limits."""
     made = folder / f"{base}_pow"
     shutil.copytree(library() / "aircraft" / base, made)
     file = (made / f"{base}.xml").rename(made / f"{base}_pow.xml")
@@ -70,7 +77,7 @@ def make(folder, base, *, glider=False):
         assert text.count(f'<axis name="{axis}">') == 1
         text = text.replace(f'<axis name="{axis}">', term(axis, each))
     way = f'<function name="guidance/wp-distance">{WAYPOINT}</function>'
-    text = text.replace('<axis name="DRAG">', f'{way}<axis name="DRAG">', 1)
+    text = text.replace('<axis name="DRAG">', f'{LIMITS}{way}<axis name="DRAG">', 1)
     assert text.count("<aerodynamics>") == 1
     text = text.replace("<aerodynamics>", f"{SYSTEM}<aerodynamics>")
     if glider:
@@ -108,3 +115,22 @@ def test_models_with_powers_are_equal(tmp_path, glider):
         comparison.fly(int(DURATION_S * RATE_HZ))
     assert comparison.unequal == ""
     assert "guidance/wp-distance" in comparison._aircraft.columns
+
+
+def test_compiled_aircraft_stalls_as_in_jsbsim(tmp_path):
+    """Gusts carry a Rascal with limits of a stall above them, between them and below them."""
+    kite = make(tmp_path, "rascal110")
+    comparison = Comparison(CompiledAircraft(kite, load(kite, RATE_HZ)), RATE_HZ)
+    comparison.place(spin=True, calm=True)
+    columns = [comparison._aircraft.columns[each] for each in (STALLED, "aero/alpha-rad")]
+    seen = []
+    for step in range(600):
+        if step % 30 == 0:
+            comparison.set("atmosphere/wind-down-fps", (0.0, -25.0, -4.0)[step // 30 % 3])
+        comparison._step()
+        comparison.check(f"{step} steps after the start")
+        seen.append(comparison.row[columns].tolist())
+    assert comparison.unequal == ""
+    states, alphas = (np.array(each) for each in zip(*seen, strict=True))
+    between = (alphas > np.radians(4.0)) & (alphas < np.radians(9.0))
+    assert {0.0, 1.0} <= set(states[between])

@@ -1,16 +1,14 @@
-"""Limits of a stall's hysteresis act as in JSBSim alone, in both engines."""
+"""Limits of a stall's hysteresis act as in JSBSim alone.
 
-import shutil
+Those of a compiled aircraft are in tests/compiled/contract/test_engine_powers.py.
+"""
 
 import jsbsim
 import numpy as np
 import pytest
 
 from testbed.commissioning.airframe_import import copy_aircraft
-from testbed.compiled import CompiledAircraft
-from testbed.compiled.proof import Comparison
 from testbed.core.records import NedOrigin
-from testbed.scenario import library
 from testbed.vehicle.environment import load_planet, set_environment
 from testbed.vehicle.jsbsim_adapter import SHARED_FILES, load, load_executive
 from testbed.vehicle.trim import Controls, Placement
@@ -76,30 +74,3 @@ def test_a_placement_is_not_stalled_by_an_earlier_one(cessna):
         model.place(level, Controls(0.0, 0.0, 0.0, 0.5), spin=False)
         states.append(stalled())
     assert states == [0.0, 1.0, 0.0]
-
-
-def test_compiled_aircraft_stalls_as_in_jsbsim(tmp_path):
-    """Gusts carry a Rascal with these limits above them, between them and below them."""
-    limits = (
-        '<hysteresis_limits unit="DEG"> <min> 4 </min> <max> 9 </max> </hysteresis_limits>'
-        f'<function name="made/stall"><product><v>0.3</v><p>{PROPERTY}</p></product></function>'
-    )
-    kite = tmp_path / "kite"
-    shutil.copytree(library() / "aircraft" / "rascal110", kite)
-    file = (kite / "rascal110.xml").rename(kite / "kite.xml")
-    text = file.read_text(encoding="utf-8")
-    file.write_text(text.replace('<axis name="DRAG">', f'{limits}<axis name="DRAG">'), "utf-8")
-    comparison = Comparison(CompiledAircraft(kite, load(kite, 200)), 200)
-    comparison.place(spin=True, calm=True)
-    columns = [comparison._aircraft.columns[each] for each in (PROPERTY, "aero/alpha-rad")]
-    seen = []
-    for step in range(600):
-        if step % 30 == 0:
-            comparison.set("atmosphere/wind-down-fps", (0.0, -25.0, -4.0)[step // 30 % 3])
-        comparison._step()
-        comparison.check(f"{step} steps after the start")
-        seen.append(comparison.row[columns].tolist())
-    assert comparison.unequal == ""
-    states, alphas = (np.array(each) for each in zip(*seen, strict=True))
-    between = (alphas > np.radians(4.0)) & (alphas < np.radians(9.0))
-    assert {0.0, 1.0} <= set(states[between])
