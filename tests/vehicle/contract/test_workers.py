@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from cases import ALL
 from commands import children, environment
 from forked import Forked
 from run_flight import Collector, fingerprint
@@ -70,7 +71,7 @@ def test_number_of_processes_changes_no_flight(case):
     before = children(os.getpid())
     one = fly(case, 1)
     assert one[1] == ("completed", case.startswith("one is lost"))  # by a fault of the scenario
-    assert fly(case, 2) == fly(case, 3) == one
+    assert all(fly(case, each) == one for each in (2, 3)[: 2 if ALL or case == "vee" else 1])
     assert not set(children(os.getpid())) - set(before)
 
 
