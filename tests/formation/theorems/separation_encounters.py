@@ -9,6 +9,7 @@ the filter leaves of that. Control and messages are at 25 Hz.
 import numpy as np
 from numba import njit
 
+from testbed.core.compile import kernel
 from testbed.core.records import FOLLOWER, LINK, MOTION
 from testbed.formation.hbh23 import LAW, NEIGHBOUR, reach_velocity, write_inputs
 from testbed.formation.paper_law import make_paper_law
@@ -23,7 +24,7 @@ LEAST_START = 10.0  # m, between two aircraft; without it slow overtakers begin 
 N, E, D, COURSE, SPEED, GAMMA, PHI = range(7)
 
 
-@njit
+@kernel
 def move(x, speed, bank, climb, lag):
     """Move an aircraft by a step with its commands."""
     if lag <= 0.0:
@@ -41,13 +42,13 @@ def move(x, speed, bank, climb, lag):
         x[PHI] += DT / lag * (bank - x[PHI])
 
 
-@njit
+@kernel
 def velocity_of(x):
     level = x[SPEED] * np.cos(x[GAMMA])
     return level * np.cos(x[COURSE]), level * np.sin(x[COURSE]), -x[SPEED] * np.sin(x[GAMMA])
 
 
-@njit
+@kernel
 def write_message(link, x, stamp):
     """Write what an aircraft sends into a link."""
     north, east, down = velocity_of(x)
@@ -62,7 +63,7 @@ def write_message(link, x, stamp):
     link.euler_rates[2] = rate
 
 
-@njit
+@kernel
 def steer(x, p0, p1, p2):
     """Return commanded speed, bank and climb angle of a desired velocity."""
     s = np.sqrt(p0 * p0 + p1 * p1 + p2 * p2)
@@ -72,7 +73,6 @@ def steer(x, p0, p1, p2):
     return min(max(s, LOW), HIGH), min(max(bank, -BANK), BANK), min(max(climb, -CLIMB), CLIMB)
 
 
-@njit
 def start_slot_changes(rng, n, x, slots, velocities):
     """Draw n aircraft within 50 m of each other, and slots 10 m apart that they change to.
 
@@ -107,7 +107,6 @@ def start_slot_changes(rng, n, x, slots, velocities):
         slots[0, 1] += aside_m * to[0]
 
 
-@njit
 def start_crossing(rng, x, slots, velocities, vertical):
     """Draw two aircraft whose straight paths pass within the separation after 4 to 12 s."""
     after = rng.uniform(4.0, 12.0)
@@ -123,7 +122,6 @@ def start_crossing(rng, x, slots, velocities, vertical):
             slots[i, axis] = x[i, axis]
 
 
-@njit
 def start_head_on(x, slots, velocities):
     """Place two aircraft abreast, 40 m apart, each with its slot 40 m beyond the other."""
     for i in range(2):
@@ -131,42 +129,103 @@ def start_head_on(x, slots, velocities):
         x[i, E], x[i, SPEED], slots[i, 1], velocities[i, 0] = 20.0 * side, 22.0, -60.0 * side, 22.0
 
 
+@kernel
+def distance(a, b):
+    return np.sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2)
+
+
 @njit
 def meet(
-    rng,
-    kind,
-    n,
-    law,
-    separation,
-    filtered,
-    lag,
-    delay,
-    loss,
-    wind,
-    vertical,
-    seconds,
-    distances,
-    work,
+    x, slots, velocities, leader, law, separation, filtered, lag, delay, lost, wind, distances, work
 ):
     """Fly one encounter; return the smallest distance and the largest distance from a slot, m.
 
     Args:
-        rng: generator of the draws.
-        kind: SLOT_CHANGES and HEAD_ON behind a leader 300 m ahead, or CROSSINGS without one.
-        n: aircraft.
+        x: (n, 7) of the aircraft at the start; written.
+        slots: (n, 3) m; written.
+        velocities: (n, 3) m/s, of the slots.
+        leader: (7,) of the leader; written.
         law: (n,) of LAW, for its bounds and gains.
         separation: (n,) of SEPARATION.
         filtered: how many of them have the filter.
         lag: of the bank, s; 0: none; below 0: each flies exactly at its desired velocity.
         delay: of messages, steps.
-        loss: share of messages.
+        lost: (steps, n, n + 1) messages from the leader and the aircraft.
         wind: speed of the air to the east, m/s.
-        vertical: rad, largest climb angle of a crossing.
-        seconds: to fly.
         distances: (steps,) of the first two aircraft; written.
-        work: records MOTION (1,), LINK (n, n + 1), NEIGHBOUR (n + 1,), FOLLOWER (1,).
+        work: records MOTION (1,), LINK (n, n + 1), NEIGHBOUR (n + 1,), FOLLOWER (1,); states of
+            all steps (steps, n, 7) and of the leader (steps, 7); commands (n, 3). What numba
+            allocates itself takes it seconds to compile.
     """
-    own, links, neighbours, outs = work
+    own, links, neighbours, outs, past, past_leader, commands = work
+    me, out = own[0], outs[0]
+    steps, n = lost.shape[0], lost.shape[1]
+    closest = 1e9
+    for k in range(steps):
+        now = k * DT
+        for c in range(7):
+            past_leader[k, c] = leader[c]
+        for i in range(n):
+            for c in range(7):
+                past[k, i, c] = x[i, c]
+        for i in range(n):
+            for m in range(n + 1):
+                if m == i + 1 or lost[k, i, m]:
+                    continue
+                sender = past_leader[k - delay] if m == 0 else past[k - delay, m - 1]
+                write_message(links[i, m], sender, now - delay * DT)
+        for i in range(n):
+            v0, v1, v2 = velocity_of(x[i])
+            s0, s1, s2 = velocities[i, 0], velocities[i, 1], velocities[i, 2]
+            g0, g1, g2 = slots[i, 0] - x[i, 0], slots[i, 1] - x[i, 1], slots[i, 2] - x[i, 2]
+            closing = 3.0 / np.sqrt(50.0 + g0 * g0 + g1 * g1 + g2 * g2)
+            wanted = s0 + closing * g0, s1 + closing * g1, s2 + closing * g2
+            rate = closing * (s0 - v0), closing * (s1 - v1), closing * (s2 - v2)
+            me.velocity_ned[0], me.velocity_ned[1], me.velocity_ned[2] = v0, v1, v2
+            for axis in range(3):
+                me.position_ned[axis] = x[i, axis]
+            me.airspeed = x[i, SPEED]
+            write_inputs(reach_velocity(law[i], me.velocity_ned, me.airspeed, wanted, rate), out)
+            p0, p1, p2 = wanted
+            if i < filtered:
+                limit_closing(separation[i], law[i], now, me, links[i], neighbours, out)
+                speed, to = out.speed_desired, out.direction
+                p0, p1, p2 = speed * to[0], speed * to[1], speed * to[2]
+            if lag >= 0.0:
+                p0, p1, p2 = steer(x[i], p0, p1, p2)
+            commands[i, 0], commands[i, 1], commands[i, 2] = p0, p1, p2
+        for i in range(n):
+            if lag < 0.0:
+                for axis in range(3):
+                    x[i, axis] += DT * commands[i, axis]
+            else:
+                move(x[i], commands[i, 0], commands[i, 1], commands[i, 2], lag)
+            x[i, E] += wind * DT
+            for axis in range(3):
+                slots[i, axis] += velocities[i, axis] * DT
+            slots[i, 1] += wind * DT
+        for axis in range(3):
+            leader[axis] += velocities[0, axis] * DT
+        leader[E] += wind * DT
+        distances[k] = distance(x[0], x[1])
+        for i in range(n):
+            for j in range(i):
+                closest = min(closest, distance(x[i], x[j]))
+    away = 0.0
+    for i in range(n):
+        away = max(away, distance(slots[i], x[i]))
+    return closest, away
+
+
+def start(rng, kind, n, vertical):
+    """Draw aircraft, slots and their velocities, and a leader 300 m ahead of all slots.
+
+    Args:
+        rng: generator of the draws.
+        kind: SLOT_CHANGES and HEAD_ON, which are behind a leader, or CROSSINGS without one.
+        n: aircraft.
+        vertical: rad, largest climb angle of a crossing.
+    """
     x, slots, velocities = np.zeros((n, 7)), np.zeros((n, 3)), np.zeros((n, 3))
     if kind == SLOT_CHANGES:
         start_slot_changes(rng, n, x, slots, velocities)
@@ -174,70 +233,24 @@ def meet(
         start_head_on(x, slots, velocities)
     else:
         start_crossing(rng, x, slots, velocities, vertical)
-        while np.sqrt(np.sum((x[0, :3] - x[1, :3]) ** 2)) < LEAST_START:
+        while np.linalg.norm(x[0, :3] - x[1, :3]) < LEAST_START:
             start_crossing(rng, x, slots, velocities, vertical)
     leader = np.zeros(7)
-    direction = velocities[0] / np.sqrt(np.sum(velocities[0] ** 2))
-    leader[:3] = slots[0] + 300.0 * direction  # beyond all slots
+    leader[SPEED] = np.linalg.norm(velocities[0])
+    direction = velocities[0] / leader[SPEED]
+    leader[:3] = slots[0] + 300.0 * direction
     leader[COURSE] = np.arctan2(direction[1], direction[0])
-    leader[SPEED] = np.sqrt(np.sum(velocities[0] ** 2))
-    steps = int(seconds / DT)
-    past, past_leader = np.zeros((steps, n, 7)), np.zeros((steps, 7))
-    for i in range(n):
-        for m in range(n + 1):
-            links[i, m].stamp_s = links[i, m].received_s = np.nan
-    closest, commands = 1e9, np.zeros((n, 3))
-    for k in range(steps):
-        now = k * DT
-        past[k], past_leader[k] = x, leader
-        for i in range(n):
-            for m in range(n + 1):
-                if m == i + 1 or k < delay or rng.random() < loss:
-                    continue
-                if m == 0 and kind != CROSSINGS:
-                    write_message(links[i, 0], past_leader[k - delay], now - delay * DT)
-                elif m > 0:
-                    write_message(links[i, m], past[k - delay, m - 1], now - delay * DT)
-        for i in range(n):
-            v0, v1, v2 = velocity_of(x[i])
-            gap = slots[i] - x[i, :3]
-            closing = 3.0 / np.sqrt(50.0 + np.sum(gap**2))
-            p = velocities[i] + closing * gap
-            rate = -closing * (np.array((v0, v1, v2)) - velocities[i])
-            me, out = own[0], outs[0]
-            me.velocity_ned[0], me.velocity_ned[1], me.velocity_ned[2] = v0, v1, v2
-            for axis in range(3):
-                me.position_ned[axis] = x[i, axis]
-            me.airspeed = x[i, SPEED]
-            wanted = (p[0], p[1], p[2])
-            write_inputs(
-                reach_velocity(
-                    law[i], me.velocity_ned, me.airspeed, wanted, (rate[0], rate[1], rate[2])
-                ),
-                out,
-            )
-            if i < filtered:
-                limit_closing(separation[i], law[i], now, me, links[i], neighbours, out)
-                p = out.speed_desired * out.direction
-            commands[i] = p if lag < 0.0 else np.array(steer(x[i], p[0], p[1], p[2]))
-        for i in range(n):
-            if lag < 0.0:
-                x[i, :3] += DT * commands[i]
-            else:
-                move(x[i], commands[i, 0], commands[i, 1], commands[i, 2], lag)
-            x[i, E] += wind * DT
-        slots += velocities * DT
-        slots[:, 1] += wind * DT
-        leader[:3] += velocities[0] * DT
-        leader[1] += wind * DT
-        distances[k] = np.sqrt(np.sum((x[0, :3] - x[1, :3]) ** 2))
-        for i in range(n):
-            for j in range(i):
-                closest = min(closest, np.sqrt(np.sum((x[i, :3] - x[j, :3]) ** 2)))
-    away = 0.0
-    for i in range(n):
-        away = max(away, np.sqrt(np.sum((slots[i] - x[i, :3]) ** 2)))
-    return closest, away
+    return x, slots, velocities, leader
+
+
+def draw_lost(rng, kind, n, steps, delay, loss):
+    """Draw which messages do not arrive: (steps, n, n + 1), from the leader and the aircraft."""
+    lost = np.ones((steps, n, n + 1), dtype=bool)
+    others = ~np.eye(n, n + 1, 1, dtype=bool)
+    lost[delay:, others] = (rng.random((steps - delay, n, n)) < loss).reshape(-1, n * n)
+    if kind == CROSSINGS:
+        lost[:, :, 0] = True
+    return lost
 
 
 def encounters(count, kind=SLOT_CHANGES, n=2, *, separation_m=6.0, margin_m=1.0, rate=0.3,
@@ -254,15 +267,21 @@ def encounters(count, kind=SLOT_CHANGES, n=2, *, separation_m=6.0, margin_m=1.0,
     separation["rate"] = rate
     neighbours = np.zeros(n + 1, NEIGHBOUR)
     neighbours["timeout_s"] = 5.0
-    records = np.zeros(1, MOTION), np.zeros((n, n + 1), LINK), neighbours, np.zeros(1, FOLLOWER)
     seconds = seconds or 90.0
+    steps, delay = int(seconds / DT), round(delay_s / DT)
+    links = np.zeros((n, n + 1), LINK)
+    records = np.zeros(1, MOTION), links, neighbours, np.zeros(1, FOLLOWER)
+    work = *records, np.zeros((steps, n, 7)), np.zeros((steps, 7)), np.zeros((n, 3))
     filtered = n if filtered is None else filtered
     plain = np.zeros(n, LAW)
     plain[:] = law
-    distances = np.zeros(int(seconds / DT)) if distances is None else distances
-    conditions = lag, round(delay_s / DT), loss, wind, vertical, seconds, distances, records
+    distances = np.zeros(steps) if distances is None else distances
     found = np.zeros((count, 2))
     for i in range(count):
         rng = np.random.default_rng([seed, i])
-        found[i] = meet(rng, kind, n, plain, separation, filtered, *conditions)
+        drawn = start(rng, kind, n, vertical)
+        lost = draw_lost(rng, kind, n, steps, delay, loss)
+        links["stamp_s"] = links["received_s"] = np.nan  # no message yet
+        conditions = filtered, lag, delay, lost, wind, distances, work
+        found[i] = meet(*drawn, plain, separation, *conditions)
     return found[:, 0], found[:, 1]
