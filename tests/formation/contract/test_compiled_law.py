@@ -105,6 +105,7 @@ def write(folder, body="pass", *, text=HEAD):
 
 
 BODIES = []
+ANGLES = (1.0, 2.0, 3.0)  # an option of the kernel with all bodies that must be given
 
 
 def case(body):
@@ -119,15 +120,20 @@ def cases(tmp_path_factory):
     folder = tmp_path_factory.mktemp("cases")
     indented = (each.replace("\n", "\n    ") for each in BODIES)
     body = "\n    ".join(f"if case == {k}:\n        {each}" for k, each in enumerate(indented, 1))
-    write(folder, body, text=HEAD.replace("roll=0.0", "roll=0.0, case=0"))
+    write(folder, body, text=HEAD.replace("roll=0.0", "angles, roll=0.0, case=0"))
     return folder
 
 
-def scenario_of(cases, number):
+def scenario_of(cases, number, more=""):
     path = cases / "law.yaml"
-    controller = f"{{law: 'mine:mine', options: {{case: {number}}}}}"
+    options = f"{{angles: [1, 2, 3], case: {number}{more}}}"
+    controller = f"{{law: 'mine:mine', options: {options}}}"
     path.write_text(f"extends: simulation-3\ncontroller: {controller}\n")
     return path
+
+
+def options_of(number):
+    return {"angles": ANGLES, "case": number}
 
 
 def law_error(name, configured, **options):
@@ -192,23 +198,21 @@ class Mine:
         climb = 0.1 * np.sin(memory[:, 0]) - 0.001 * memory[:, 1]
         return FbwaCommand(climb, self.roll * own.euler[:, 2], np.full(len(climb), 0.4)), memory
 """
-FBWA_KERNEL = """memory.flown_s += 0.04
+FBWA_KERNEL = case("""memory.flown_s += 0.04
     memory.steps += 1
     climb = 0.1 * np.sin(memory.flown_s) - 0.001 * memory.steps
-    return FbwaCommand(climb, roll * own.euler[2], 0.4)"""
+    return FbwaCommand(climb, roll * own.euler[2], 0.4)""")
 
 
-def test_kernel_with_memory_commands_fly_by_wire(tmp_path):
+def test_kernel_with_memory_commands_fly_by_wire(cases, tmp_path):
     """Angles of the logged motion are numpy's for a class, whose last bit is another."""
-    write(tmp_path, FBWA_KERNEL)
     (tmp_path / "theirs.py").write_text(FBWA_CLASS)
-    logs = []
-    for law in ("mine:mine", "theirs:Mine"):
-        path = tmp_path / "law.yaml"
-        options = "options: {roll: 2}"  # an integer, where the default is a float
-        path.write_text(f"extends: simulation-3\ncontroller: {{law: '{law}', {options}}}\n")
-        logs.append(fly(path, duration=6.0, folder=tmp_path)[0])
-    ours, theirs = logs
+    path = tmp_path / "law.yaml"
+    roll = "roll: 2"  # an integer, where the default is a float
+    law = f"{{law: 'theirs:Mine', options: {{{roll}}}}}"
+    path.write_text(f"extends: simulation-3\ncontroller: {law}\n")
+    pages = scenario_of(cases, FBWA_KERNEL, f", {roll}"), path
+    ours, theirs = logs = [fly(page, duration=6.0, folder=tmp_path)[0] for page in pages]
     angles = {"formation.course_desired", "formation.flight_path_angle_desired"}
     assert set(differences(ours, theirs)) <= angles
     for name in ("course_desired", "flight_path_angle_desired"):
@@ -222,7 +226,7 @@ STEPS = case("memory.flown_s += 0.04\n    memory.steps += 1")
 
 def test_step_returns_the_memory_it_wrote(cases, configured):
     """So the checks before a flight step a law on from memories that it has written itself."""
-    law = build_law(f"{cases}/mine.py:mine", {"case": STEPS}, *configured)[0]
+    law = build_law(f"{cases}/mine.py:mine", options_of(STEPS), *configured)[0]
     n = len(law.own.airspeed)
     memory = law.start(law.own)
     for count in (1, 2, 3):
@@ -377,20 +381,17 @@ WRONG = [
         "LINE: the law raised ValueError: four steps",
     ),
 ]
-WRONG_UNICYCLES = [
-    (
-        "return UnicycleCommand(20.0, (0.1, 0.0, 0.0), 20.0, (1.0, 0.0, 0.0), 0)",
-        "mine returns omega with a first component of 0.1 rad/s",
-    ),
-    (
-        "return UnicycleCommand(20.0, own.euler[:2], 20.0, (1.0, 0.0, 0.0), 0)",
-        "omega or direction of the law's command has not 3 numbers",
-    ),
-    (
-        "return command_from_velocity(config, own, (0.0, 0.0, 0.0))",
-        "mine.py:24: the law raised ValueError: velocity_ned is zero: it has no direction",
-    ),
-]
+WRONG_UNICYCLES = {
+    1: "mine returns omega with a first component of 0.1 rad/s",
+    2: "omega or direction of the law's command has not 3 numbers",
+    3: "mine.py:LINE: the law raised ValueError: velocity_ned is zero: it has no direction",
+}
+UNICYCLES = """omega = np.array((0.1, 0.0, 0.0))
+    if case == 2:
+        omega = own.euler[:2].copy()
+    if case == 3:
+        command_from_velocity(config, own, (0.0, 0.0, 0.0))
+    return UnicycleCommand(20.0, omega, 20.0, (1.0, 0.0, 0.0), 0)"""
 
 
 def with_line(message, cases, number):
@@ -402,13 +403,17 @@ def with_line(message, cases, number):
 
 @pytest.mark.parametrize(("number", "message"), WRONG, ids=[m[:30] for _, m in WRONG])
 def test_a_kernel_is_held_to_the_contract(number, message, cases, configured):
-    error = law_error(f"{cases}/mine.py:mine", configured, case=number)
+    error = law_error(f"{cases}/mine.py:mine", configured, **options_of(number))
     assert with_line(message, cases, number) in error
 
 
-@pytest.mark.parametrize(("body", "message"), WRONG_UNICYCLES, ids=["rate", "two", "zero"])
-def test_commands_of_unicycles_are_held_to_it(body, message, tmp_path, configured):
-    assert message in law_error(write(tmp_path, body), configured)
+def test_commands_of_unicycles_are_held_to_it(tmp_path, configured):
+    text = HEAD.replace("roll=0.0", "case").replace("return FbwaCommand(0.0, roll, 0.4)", "")
+    name = write(tmp_path, UNICYCLES, text=text)
+    lines = (tmp_path / "mine.py").read_text().splitlines()
+    line = 1 + lines.index("        command_from_velocity(config, own, (0.0, 0.0, 0.0))")
+    for number, message in WRONG_UNICYCLES.items():
+        assert message.replace("LINE", str(line)) in law_error(name, configured, case=number)
 
 
 def test_wrong_names_and_options_are_named(tmp_path, configured):
@@ -428,13 +433,16 @@ def test_wrong_names_and_options_are_named(tmp_path, configured):
     )
 
 
-def test_list_of_numbers_is_an_option(tmp_path, configured):
-    name = write(tmp_path, "roll = 0.01 * roll[2]", text=HEAD.replace("roll=0.0", "roll"))
-    law, _ = build_law(name, {"roll": (1.0, 2.0, 3.0)}, *configured)
+LIST = case("roll = 0.01 * angles[2]")
+
+
+def test_list_of_numbers_is_an_option(cases, configured):
+    name = f"{cases}/mine.py:mine"
+    law, _ = build_law(name, options_of(LIST), *configured)
     assert isinstance(law, CompiledLaw)
     check_law(law, configured[0])
     assert law.command.fbwa.roll == pytest.approx([0.03] * 3)
-    assert "missing a required argument: 'roll'" in law_error(name, configured)
+    assert "missing a required argument: 'angles'" in law_error(name, configured)
 
 
 FAILING = [
@@ -466,7 +474,7 @@ ZERO = case("zero = int(0.0 * now)\n    roll = 1 // zero + 1 % zero + 1.0 / (1 /
 
 def test_integers_divided_by_zero(cases, configured):
     """As docs/own-law.md has it; floats divided by zero are not finite."""
-    law, _ = build_law(f"{cases}/mine.py:mine", {"case": ZERO}, *configured)
+    law, _ = build_law(f"{cases}/mine.py:mine", options_of(ZERO), *configured)
     check_law(law, configured[0])
     assert law.command.fbwa.roll.tolist() == [0.0] * 3
 

@@ -135,7 +135,6 @@ def test_a_law_of_ones_own_requires_the_same_way(tmp_path):
         InputError, match=r"mine\.py:10: the hypotheses of the law ruled raised KeyE"
     ):
         build(load_scenario(path, ["controller.options={roll: -1}"]))
-    build(load_scenario(path, ["controller.options={roll: 0.2}"]))
 
 
 def test_a_case_of_a_study_is_refused_before_it_flies(tmp_path):

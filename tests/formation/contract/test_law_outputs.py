@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import in_full
 
 import testbed
 from testbed.core.errors import InputError
@@ -23,10 +24,10 @@ import testbed
 from testbed.law import Outputs, command_from_velocity
 
 MEMORY = [("steps", int), ("sent_ned", float, 3), ("count", float), ("late", float, 4),
-          ("wind_ned", float, 3)]
+          ("wind_ned", float, 3), ("turn_rate", float), ("failed", int)]
 MORE = {
     "send": ["sent_ned", "count"],
-    "log": ["late", "steps", "wind_ned"],
+    "log": ["late", "steps", "wind_ned", "turn_rate", "failed"],
     "events": {"steps": ["", "one"]},
 }
 
@@ -39,6 +40,8 @@ def kernel(now, own, inbox, memory, config):
     memory.count += 1.0
     memory.sent_ned[:] = own.position_ned
     memory.wind_ned[:] = own.wind_ned
+    memory.turn_rate = inbox.turn_rate[0]
+    memory.failed = np.sum(inbox.failed)
     velocity = np.array([22.0, 0.0, 0.0])
     return command_from_velocity(config, own, velocity)
 
@@ -59,6 +62,8 @@ class Class:
         memory["count"] += 1.0
         memory["sent_ned"] = own.position_ned
         memory["wind_ned"] = own.wind_ned
+        memory["turn_rate"] = inbox.turn_rate[:, 0]
+        memory["failed"] = inbox.failed.sum(axis=1)
         velocity = np.tile([22.0, 0.0, 0.0], (len(memory), 1))
         return command_from_velocity(self.config, own, velocity), memory
 
@@ -102,7 +107,7 @@ def test_a_kernel_and_a_class_have_equal_outputs(flights):
     own = {name for name in kernel.keys() if name.startswith("law_")}
     axes = "north", "east", "down"
     late, wind = (f"law_late_{k}" for k in range(4)), (f"law_wind_{axis}" for axis in axes)
-    assert own == {*late, "law_steps", *wind}
+    assert own == {*late, "law_steps", "law_turn_rate", "law_failed", *wind}
     for name in kernel.keys():
         assert np.array_equal(kernel[name], other[name], equal_nan=True), name
     assert kernel.events[1:] == other.events[1:]  # the first names the code
@@ -183,8 +188,12 @@ def test_a_timeout_that_holds_has_no_place_in_a_kernel(tmp_path):
     assert HBH23_MEMORY.names == ("leader", "started")
 
 
+@in_full
 def test_what_is_told_replaces_the_leader(tmp_path):
-    """A follower that never hears the leader holds its slot; one that hears nobody does not."""
+    """A follower that never hears the leader holds its slot; one that hears nobody does not.
+
+    What laws send is in `test_payloads_are_as_late_as_their_messages`, too.
+    """
     flight = fly(EXAMPLES / "relayed-leader.yaml", tmp_path / "told", duration_s=60.0)
     errors = flight["formation_error_east_m"][-500:, 3]
     assert abs(errors).max() < 5.0
@@ -197,8 +206,29 @@ def test_what_is_told_replaces_the_leader(tmp_path):
     assert abs(alone["formation_error_east_m"][-1, 3]) > 100.0
 
 
+def test_a_law_is_told_turn_rate_and_failures(folder, tmp_path):
+    """The leader turns at 30° of bank; the engine of uav2 stops at 1 s, declared 0.5 s later."""
+    fault = "fleet.uav2.faults=[{kind: engine-out, at_s: 1}]"
+    changes = (fault, "formation.on_failure.declared_after_s=0.5", "limits.on_loss=continue")
+    start = "leader.start={north_m: 640, east_m: 530, altitude_m: 100, course_deg: 90}"
+    flight = fly(folder / "kernel.yaml", tmp_path / "run", *changes, start, duration_s=4.0)
+    failed = flight["law_failed"][:, 1:]
+    assert (failed[: round(1.4 * 25)] == 0).all() and (failed[round(1.9 * 25) :] == 1).all()
+    v, a = (
+        np.stack([flight[f"state_{name}_{axis}_{unit}"][:, 0] for axis in ("north", "east")])
+        for name, unit in (("velocity", "mps"), ("acceleration", "mps2"))
+    )
+    turn = (v[0] * a[1] - v[1] * a[0]) / (v**2).sum(axis=0)
+    assert flight["law_turn_rate"][3:, 1] == pytest.approx(turn[:-3], abs=1e-9)
+    assert abs(turn).max() > 0.2
+
+
+@in_full
 def test_a_law_reads_wind_turn_rate_and_failures(tmp_path):
-    """The engine of uav2 stops at 125 s, and its neighbours climb by 10 m from 127 s on."""
+    """The engine of uav2 stops at 125 s, and its neighbours climb by 10 m from 127 s on.
+
+    Each input is in a test of its own, too.
+    """
     flight = fly(EXAMPLES / "arc-follower.yaml", tmp_path / "arc", duration_s=150.0)
     climbs = [each for each in flight.events if each.text == "climbs to make room"]
     assert [(each.source, round(each.time_s, 1)) for each in climbs] == [

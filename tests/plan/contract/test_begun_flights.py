@@ -23,7 +23,7 @@ from testbed.metrics.accumulator import Accumulator
 from testbed.runs.recover import recover
 from testbed.scenario import dump, load_scenario, set_duration
 
-PAIRS = int(os.environ.get("TESTBED_BEGUN", "4"))
+PAIRS = int(os.environ.get("TESTBED_BEGUN", "2"))
 CHUNK = min(PAIRS, 50)
 
 
@@ -254,11 +254,10 @@ def test_compiled_laws_ignore_what_is_between_fields(folder, monkeypatch):
 
     count: list[int] = []
     monkeypatch.setattr(CompiledLaw, "__init__", filled)
-    (folder / "laws_of_pairs.py").write_text(begun_flights.LAWS)
     path = folder / "first.yaml"
-    header = {"duration_s": 3.0, "windows": None, "published": None}
-    law = {"law": "laws_of_pairs:counting"}
-    path.write_text(json.dumps({"extends": "simulation-1", "scenario": header, "controller": law}))
+    header = {"duration_s": 3.0, "windows": {"rectangles": None, "circles": None}}
+    data = {"extends": "simulation-3", "scenario": {**header, "published": None}}
+    path.write_text(json.dumps({**data, "controller": {"law": "leader-follower"}}))
     simulation = testbed.Simulation(load_scenario(begin_as("first.yaml", 1.0, folder)))
     simulation.step(until=3.0)
     assert simulation.outcome == "completed" and len(count) > 2
