@@ -10,9 +10,11 @@ from testbed.core.records import (
     fields_of,
     write_fields,
 )
+from testbed.core.standard_atmosphere import SEA_LEVEL_DENSITY
 from testbed.sensors import ekf
 from testbed.sensors.airspeed import AIRSPEED_SENSOR, measure_airspeed, write_airspeeds
 from testbed.sensors.sensor_errors import ERRORS
+from testbed.sensors.sensor_step import estimate_motions
 
 
 def aircraft_of(truth, faults=None):
@@ -27,14 +29,6 @@ def aircraft_of(truth, faults=None):
 def estimate_of(aircraft):
     """A copy of the estimates of N aircraft."""
     return VehicleState(*(each.copy() for each in fields_of(VehicleState, aircraft["estimate"])))
-
-
-@entry
-def _ekf_steps(settings, filters, past, errors, sensors, aircraft, step, rate_hz):
-    for m in range(len(settings)):
-        a = aircraft[m]
-        own = settings[m], filters[m], past[m]
-        ekf.ekf_step(*own, errors[m], sensors[m], a.truth, a.faults, step, rate_hz)
 
 
 def ekf_step(
@@ -53,17 +47,27 @@ def ekf_step(
     gps_lost,
     gps_jump,
 ):
-    """Step M filters: errors (M, 9) of attitude, velocity and position as flown on."""
+    """Step M filters: errors (M, 9) of attitude, velocity and position as flown on.
+
+    By the entry of flights, in which errors stay as they are, and so do filtered pressures.
+    """
     n = len(filters)
     aircraft, sensors = aircraft_of(truth), allocate(AIRSPEED_SENSOR, n)
     aircraft["faults"]["gps_lost"], aircraft["faults"]["gps_jump"] = gps_lost, gps_jump
-    sensors["airspeed"], sensors["equivalent_airspeed"] = airspeed, equivalent_airspeed
-    sensors["sampled"] = airspeed_sampled
-    drawn = allocate(ERRORS, n)
+    aircraft["truth"]["airspeed"] = airspeed
+    aircraft["truth"]["equivalent_airspeed"] = equivalent_airspeed
+    sensors["pressure"] = 0.5 * SEA_LEVEL_DENSITY * np.square(equivalent_airspeed)
+    sensors["rate_hz"] = np.where(airspeed_sampled, rate_hz, 0)
+    values = np.zeros((n, ERRORS.itemsize // 8))
+    drawn = values.view(ERRORS)[:, 0].view(type(allocate(ERRORS, 0)))
     drawn[...] = errors
+    coefficients, used = np.zeros((2, *values.shape)), np.zeros(1, dtype=np.intp)
+    coefficients[0] = 1.0
     settings = settings.copy()
-    settings["heading_bias"] = heading_bias
-    _ekf_steps(settings, filters, past, drawn, sensors, aircraft, step, rate_hz)
+    settings["heading_bias"], settings["row"] = heading_bias, np.arange(n)
+    drawing = np.zeros((1, *values.shape)), used, np.array([step])
+    own = settings, filters, past, *drawing, aircraft, True
+    assert not estimate_motions(coefficients, values, drawn, sensors, rate_hz, *own)
     return np.array(filters["output"])
 
 

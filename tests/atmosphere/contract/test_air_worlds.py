@@ -1,6 +1,7 @@
 """The air in whole runs: repeatable, shared or independent, with events and warnings."""
 
 import shutil
+from functools import cache
 
 import numpy as np
 import pytest
@@ -40,6 +41,7 @@ class Watcher(Collector):
         return np.array([frame.truth.position_ned[row] for frame in self.frames])
 
 
+@cache
 def fly(*overrides, scenario="simulation-3", seconds=SECONDS):
     watcher = Watcher()
     page = set_duration(load_scenario(scenario, list(overrides)), seconds)

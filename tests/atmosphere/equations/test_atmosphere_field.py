@@ -1,6 +1,6 @@
 """The shared turbulence field: von Kármán's closed forms, and that it does not repeat.
 
-2 fields by default; TESTBED_AIR_SAMPLES=60 makes more of them.
+One field by default; TESTBED_AIR_SAMPLES=60 makes more of them.
 """
 
 import os
@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from cases import ALL
 from places import ROOT
 from reference.adapters_atmosphere import sample_field
 from scipy.integrate import quad
@@ -28,7 +29,7 @@ from testbed.atmosphere.turbulence_field import (
 )
 from testbed.core.errors import InputError
 
-SAMPLES = int(os.environ.get("TESTBED_AIR_SAMPLES", "2"))
+SAMPLES = int(os.environ.get("TESTBED_AIR_SAMPLES", "2" if ALL else "1"))
 AIR = (ROOT / "docs" / "air.md").read_text(encoding="utf-8")
 SIGMA = np.array([1.6, 1.6, 1.2])  # m/s
 LENGTH = np.array([263.0, 263.0, 100.0])  # m, of 100 m above the ground

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from cases import ALL
 from reference.adapters_sensors import propagate_covariance
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
@@ -131,7 +132,9 @@ class Routes(NamedTuple):
 @pytest.fixture(scope="module")
 def routes():
     """Four kinds of sensors at four scales of their errors, in straights, turns and climbs."""
-    flight = make_flight(50, (8, 0, 0), (15, 1, 0), (8, 0, 0.15), (10, -1, 0.05))
+    long = 2 if ALL else 1
+    legs = (4 * long, 0, 0), (8 * long, 1, 0), (4 * long, 0, 0.15), (5 * long, -1, 0.05)
+    flight = make_flight(50, *legs)
     kind = np.repeat(np.arange(len(KINDS)), len(SCALES))
     scale = np.tile(SCALES, len(KINDS))
     filters = Filters([KINDS[i] for i in kind], flight)

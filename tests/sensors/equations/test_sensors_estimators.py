@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from cases import ALL
 from reference import adapters_sensors as kernels
 from scipy.spatial.transform import Rotation
 from scipy.stats import f as fisher
@@ -363,15 +364,14 @@ def test_filters_have_settled_at_the_start():
 
 
 def test_errors_of_the_pixhawk_preset():
-    """600 s of straights and circles of 120 m, 30 aircraft: root mean squares over all of them.
+    """Straights and circles of 120 m, 30 aircraft: root mean squares over all of them.
 
     The horizontal error is the common drift of 1.3 m on each axis, over as long as it takes to
     change: another seed's may be half or twice as large, and so may the height's. It is no error
     of the aircraft relative to each other.
     """
-    flight = make_flight(
-        25, *[(60, 0, 0), (60, 1, 0), (60, 0, 0), (60, -1, 0)] * 2, (60, 0, 0), (60, 1, 0)
-    )
+    legs = [(60, 0, 0), (60, 1, 0), (60, 0, 0), (60, -1, 0)] * 3
+    flight = make_flight(25, *legs[: 10 if ALL else 4])
     n = 30
     seen = wrong(fly(make([PIXHAWK] * n, flight=flight), n, flight=flight), flight)
 
