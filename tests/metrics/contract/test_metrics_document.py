@@ -9,6 +9,7 @@ from typing import get_type_hints
 
 import pytest
 import record_flight
+from cases import some
 from record_flight import event, run_samples
 from rich.console import Console
 from snapshot import check_snapshot
@@ -215,17 +216,20 @@ def test_error_table_omits_windows_of_lost_aircraft():
     assert [each == ["–", "–"] for each in beside] == [False, False, True, True]
 
 
-@pytest.mark.parametrize("width", WIDTHS)
+KINDS = (None, None), (None, 0), (PUBLISHED, None), (PUBLISHED, 0)
+
+
 @pytest.mark.parametrize("followers", [0, 1, 3, 30])
-@pytest.mark.parametrize("published", [None, PUBLISHED], ids=["own", "compared"])
-@pytest.mark.parametrize("noisy_from", [None, 0], ids=["exact", "noisy"])
-def test_tables_fit_the_width_and_cut_no_word(width, followers, published, noisy_from):
+@pytest.mark.parametrize(("published", "noisy_from"), some(KINDS, 2))
+def test_tables_fit_the_width_and_cut_no_word(followers, published, noisy_from):
     more = {"published": published, "noisy_from": noisy_from, "lost_from": noisy_from}
     names = {f"p{i}": (0.5 * i, 0.5 * i + 1.0) for i in range(7)}
     for windows in ({}, {"first": (1.0, 2.0)}, names, {"never": (90.0, 95.0)}):
-        lines = printed(document(followers, windows=windows, **more), width).splitlines()
-        assert "…" not in "".join(lines).replace("… and 3 more", "")
-        assert max(len(line) for line in lines if "run.mcap" not in line) <= width
+        metrics = document(followers, windows=windows, **more)
+        for width in WIDTHS:
+            lines = printed(metrics, width).splitlines()
+            assert "…" not in "".join(lines).replace("… and 3 more", "")
+            assert max(len(line) for line in lines if "run.mcap" not in line) <= width
 
 
 def test_error_table_of_many_followers_has_the_median():

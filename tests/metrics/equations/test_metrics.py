@@ -1,6 +1,7 @@
 """Metrics of a run: known samples, and a second computation over the whole run."""
 
 import math
+from functools import cache
 
 import numpy as np
 import pytest
@@ -25,6 +26,7 @@ from testbed.metrics.facts import describe_wind
 from testbed.metrics.observer import MetricsObserver
 
 BASE_RATE_HZ, FRAME_RATE_HZ = 200, 25
+LONGEST = 3 * SPAN + 17  # samples of a random run
 
 
 def run_info(followers=2, windows=None):
@@ -506,20 +508,27 @@ def test_leaving_the_speed_set_counts(start):
 
 
 def random_run(count, followers):
+    return longest_run(followers)[:count]
+
+
+@cache
+def longest_run(followers):
     rng = np.random.default_rng(3)
-    for k in range(count):
-        yield make_sample(
+    return [
+        make_sample(
             k,
             rng.normal(0.0, 2.0, (followers, 3)),
             offsets=rng.normal(0.0, 30.0, (followers, 3)),
             bank=rng.normal(),
             saturations=rng.integers(0, 8, followers).tolist(),
         )
+        for k in range(LONGEST)
+    ]
 
 
-@pytest.mark.parametrize("count", [1, SPAN - 1, SPAN, SPAN + 1, 3 * SPAN + 17])
+@pytest.mark.parametrize("count", [1, SPAN - 1, SPAN, SPAN + 1, LONGEST])
 def test_sums_over_blocks_equal_those_of_the_run(count):
-    samples = list(random_run(count, 4))
+    samples = random_run(count, 4)
     summary = measure(samples, run_info(4, {"all": (0.0, 1000.0)}))
     errors = np.array([[math.hypot(*e) for e in f.formation.error_ned] for f in samples])
     distances = np.array(
@@ -545,14 +554,14 @@ def test_sums_over_blocks_equal_those_of_the_run(count):
 
 @pytest.mark.parametrize("count", [12, 130])
 def test_block_lengths_change_no_bit(count, monkeypatch):
-    samples, info = list(random_run(2 * SPAN + 50, 3)), run_info(3, {"all": (0.0, 1000.0)})
+    samples, info = random_run(2 * SPAN + 50, 3), run_info(3, {"all": (0.0, 1000.0)})
     summary = measure(samples, info)
     monkeypatch.setattr(core_samples, "_BLOCK_AIRCRAFT_SAMPLES", 4 * count)
     assert measure(samples, info) == summary
 
 
 def test_summary_during_a_run_changes_nothing():
-    samples = list(random_run(1300, 3))  # more than are summed together
+    samples = random_run(1300, 3)  # more than are summed together
     info = run_info(3, {"all": (0.0, 1000.0)})
     meter = MetricsObserver()
     meter.begin(info)
@@ -631,7 +640,7 @@ def test_window_that_lacks_samples_is_not_complete(missing):
 
 def test_sums_of_a_later_start_have_the_same_spans():
     """The same bits in a window that both have; spans counted from the first sample differ."""
-    samples = [*random_run(3 * SPAN, 3)]
+    samples = random_run(3 * SPAN, 3)
     some = {"late": (samples[SPAN // 2].time_s, samples[-1].time_s)}
 
     def late(first):

@@ -96,7 +96,7 @@ def test_estimated_rms_beside_the_true_one():
 
 @pytest.mark.parametrize("count", [1, SPAN + 3])
 def test_exact_estimates_have_no_error(count):
-    summary = measure(list(random_run(count, 3)), run_info(3, {"all": (0.0, 100.0)}))
+    summary = measure(random_run(count, 3), run_info(3, {"all": (0.0, 100.0)}))
     window = summary["windows"]["all"]
     assert window["estimated_rms_m"] == window["rms_m"]
     assert window["estimated_mean_rms_m"] == window["mean_rms_m"]
@@ -108,7 +108,7 @@ def test_exact_estimates_have_no_error(count):
 
 
 def test_estimates_change_no_other_number():
-    samples = list(random_run(SPAN + 60, 3))
+    samples = random_run(SPAN + 60, 3)
     info = run_info(3, {"all": (0.0, 100.0)})
     erring = [
         with_estimates(sample, position=1.0, euler=0.1, estimated=np.ones((3, 3)))
