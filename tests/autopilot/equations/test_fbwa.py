@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cases import in_full
 from places import ROOT
 from reference import adapters
 from reference import fbwa as reference
@@ -554,8 +555,14 @@ def test_a_fleet_is_its_members() -> None:
             assert getattr(together, name)[i] == getattr(alone, name)[0]
 
 
-@pytest.mark.parametrize("latency", [0.0, 0.02, 0.05])
-@pytest.mark.parametrize("name", ["recorded", "autopilot"])
+@pytest.mark.parametrize(
+    ("name", "latency"),
+    [
+        *[("recorded", 0.0), ("autopilot", 0.02), ("recorded", 0.05)],
+        *[pytest.param("autopilot", each, marks=in_full) for each in (0.0, 0.05)],
+        pytest.param("recorded", 0.02, marks=in_full),
+    ],
+)
 def test_the_kernel_does_what_the_reference_does(name: str, latency: float) -> None:
     """Both over 400 periods of noise that reaches every limit; rounding is all that may differ."""
     tune = read_params(ROOT / "aircraft" / "rascal110" / f"{name}.param")

@@ -130,7 +130,10 @@ LATE_MESSAGES = ("network.delay_s=0.2", "network.loss=0.2")
 
 @pytest.mark.parametrize(
     ("followers", "late"),
-    [(2, ()), pytest.param(2, LATE_MESSAGES, marks=in_full), (3, LATE_MESSAGES)],
+    [
+        *[pytest.param(2, late, marks=in_full) for late in ((), LATE_MESSAGES)],
+        (3, LATE_MESSAGES),
+    ],
 )
 def test_rascals_keep_6_m_with_the_margin_of_the_docs(followers, late):
     among, behind = fly_rascals(max(COUNT // 10, 12), followers, late)

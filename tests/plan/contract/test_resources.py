@@ -59,7 +59,7 @@ def test_disk_needed_agrees_with_the_log(name, tmp_path):
         ("simulation-3", 0.1, ("scenario.duration_s=86400", VIRTUAL)),
         ("simulation-3", 20.0, ("rates.physics_hz=1000", "rates.broadcast_hz=1000",
                                 "network.delay_s=20")),
-        ("vee-30", 5.0, ()),
+        ("vee-30", 1.0, ()),
     ],
     ids=["a day of a virtual leader", "messages in flight", "aircraft"],
 )  # fmt: skip
