@@ -138,17 +138,16 @@ def test_a_law_of_ones_own_requires_the_same_way(tmp_path):
 
 
 def test_a_case_of_a_study_is_refused_before_it_flies(tmp_path):
-    (tmp_path / "mine.py").write_text(RULED, encoding="utf-8")
-    scenario(tmp_path, "{law: 'mine:ruled'}")
+    scenario(tmp_path, "{law: leader-follower}")
     study = tmp_path / "laws.yaml"
     study.write_text(
         "study: {schema: 1, name: laws, scenario: mine.yaml, duration_s: 1,"
         " metrics: [min_separation_m]}\n"
-        "cases:\n  one: {}\n  two: {controller.options: {roll: 0.7}}\n",
+        "cases:\n  one: {}\n  two: {controller.options: {closing_per_s: 25}}\n",
         encoding="utf-8",
     )
     done = call_command("sweep", study, "--out", "out", cwd=tmp_path, code=2, columns=200)
-    assert "ruled requires: roll is 0.7" in done.stderr
+    assert "leader_follower requires: closing_per_s is 25" in done.stderr
     assert not list(tmp_path.glob("out/**/run.mcap"))
 
 
