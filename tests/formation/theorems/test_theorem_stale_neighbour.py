@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from cases import in_full
 from closed_loop import Leader
 from reference.adapters import advance_ticks, frame_rate, report
 from reference.adapters import slot_motions as slots
@@ -105,7 +106,7 @@ def received():
     return errors
 
 
-@pytest.mark.parametrize("limit", [LIMIT, 5.0])
+@pytest.mark.parametrize("limit", [LIMIT, pytest.param(5.0, marks=in_full)])
 def test_timed_out_neighbour_is_held_at_its_position(received, limit):
     """It is held where it was at its last message, however far a line has led from there since.
 
