@@ -3,12 +3,14 @@
 import os
 import re
 import subprocess
-import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 from c_fmus import law_fmu, need_compiler
 from commands import call_command, environment
+from forked import Forked
+from waiting import TIMEOUT_S
 
 import testbed
 from testbed.core.errors import FlightError, InputError
@@ -201,19 +203,24 @@ def test_run_keeps_the_fmu(laws):
 def test_new_fmu_law_builds_and_flies(tmp_path):
     """`testbed new law --fmu`: its commands build it, and it flies as the kernel of `new law`."""
     need_compiler()
-    done = call_command("new", "law", "mine", "--fmu", cwd=tmp_path, code=0, columns=200)
+    # of one name, as test_new_law.py's, so that its kernel is compiled once
+    places = {each: tmp_path / each for each in ("fmu", "kernel")}
+    for each in places.values():
+        each.mkdir()
+    done = call_command("new", "law", "mine", "--fmu", cwd=places["fmu"], code=0, columns=200)
     lines = [each.strip() for each in done.stdout.splitlines()]
     commands = lines[2 : lines.index("cd -")]
     assert any(each.startswith("cc ") for each in commands)
-    folder = tmp_path / "mine" / "mine-fmu"
+    folder = places["fmu"] / "mine" / "mine-fmu"
     subprocess.run(["sh", "-ec", "\n".join(commands)], cwd=folder, check=True,
                    env=environment(80))  # fmt: skip
-    call_command("new", "law", "other", cwd=tmp_path, code=0, columns=200)
+    call_command("new", "law", "mine", cwd=places["kernel"], code=0, columns=200)
+    laws = {each: load_scenario(places[each] / "mine/mine.yaml") for each in places}
+    assert [Path(each.controller.law).suffix for each in laws.values()] == [".fmu", ".py:mine"]
     errors = [
-        testbed.run(tmp_path / f"{each}/{each}.yaml", duration_s=20.0, write=False)
-        .metrics["max_error_m"]
-        for each in ("mine", "other")
-    ]  # fmt: skip
+        testbed.run(each, duration_s=20.0, write=False).metrics["max_error_m"]
+        for each in laws.values()
+    ]
     assert errors[0] == pytest.approx(errors[1], abs=1e-6)
 
 
@@ -223,10 +230,10 @@ def test_nothing_stays_in_the_temporary_folder(tmp_path):
     temporary = tmp_path / "temporary"
     temporary.mkdir()
     place = {**environment(200), "TMPDIR": str(temporary)}
-    for name, *definitions in (("sound",), ("crashing", "CRASH_S=1.0")):
+    for name, *definitions in (("sound",), ("crashing", "CRASH_S=5.0")):
         file = write_law(tmp_path, name, *definitions)
-        for words in ("validate", file), ("run", file, "--duration", "3", "--out", name):
-            command = sys.executable, "-m", "testbed", *map(str, words)
-            done = subprocess.run(command, cwd=tmp_path, env=place, capture_output=True)
-            assert done.returncode == (2 if definitions and words[0] == "run" else 0), done.stderr
+        for words in ("validate", file), ("run", file, "--duration", "6", "--out", name):
+            process = Forked("testbed.cli.main:main", *words, cwd=tmp_path, env=place)
+            code = process.wait(TIMEOUT_S)
+            assert code == (2 if definitions and words[0] == "run" else 0), words
     assert not [*temporary.glob("testbed-fmu-*")]
