@@ -1,14 +1,14 @@
-"""An autopilot, a pilot's switch and two other aircraft, for a companion that is a real process."""
+"""An autopilot, a pilot's switch and two other aircraft, for a companion that is a process."""
 
 import math
 import os
 import re
 import signal
 import socket
-import subprocess
-import sys
 import time
 
+from commands import environment
+from forked import Forked
 from waiting import TIMEOUT_S
 
 from testbed.companion.scenario_digest import AGREED_PARAMETERS
@@ -57,6 +57,7 @@ class StandIn:
         attitudes: times of commands, s since boot.
         modes, arms: that were asked for.
         texts: of the companion.
+        folder: of the companion and of its output.
     """
 
     def __init__(self, folder, *options, key=None, signers=None, log=False):
@@ -71,7 +72,7 @@ class StandIn:
             for row, name in enumerate(("leader", "uav1", NAME))
         }
         self._reader = Codec(255, 190)
-        self._folder, self._options, self._key, self._log = folder, options, key, log
+        self.folder, self._options, self._key, self._log = folder, options, key, log
         scenario = load_scenario(SCENARIO)
         own = resolve(scenario).aircraft[ROW]
         self.parameters = {
@@ -97,15 +98,22 @@ class StandIn:
     def start(self):
         """Start the companion."""
         peers = ",".join(f"127.0.0.1:{port}" for port in self.ports[1:])
-        command = [sys.executable, "-m", "testbed", "companion", SCENARIO, "--as", NAME]
+        command = ["companion", SCENARIO, "--as", NAME]
         command += ["--autopilot", f"udpin:127.0.0.1:{self.ports[0]}"]
         command += ["--formation", f"peers:{peers}", *self._options]
         command += [] if self._log else ["--no-log"]
         command += ["--mavlink-key", str(self._key)] if self._key else []
         if self.output is not None:
             self.output.close()
-        self.output = open(self._folder / f"companion-{time.monotonic_ns()}.txt", "w+")  # noqa: SIM115
-        self.process = subprocess.Popen(command, stdout=self.output, stderr=self.output)
+        self.output = open(self.folder / f"companion-{time.monotonic_ns()}.txt", "w+")  # noqa: SIM115
+        self.process = Forked(
+            "testbed.cli.main:main",
+            *command,
+            cwd=self.folder,
+            env=environment(100),
+            stdout=self.output,
+            stderr=self.output,
+        )
 
     def printed(self):
         """What the companion has printed."""

@@ -2,13 +2,12 @@
 
 import json
 import signal
-import subprocess
-import sys
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from commands import call_command, environment
+from forked import Forked
 from link_loop import free_port
 from places import ROOT
 from waiting import TIMEOUT_S, until
@@ -44,11 +43,10 @@ def start(folder, name, *options):
     """Start a companion in a folder; its standard error is in a file."""
     errors = folder / f"{name}.txt"
     with errors.open("wb") as output:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "testbed", "companion", "scenario.yaml", "--as", name, *options],
+        process = Forked(
+            *("testbed.cli.main:main", "companion", "scenario.yaml", "--as", name, *options),
             cwd=folder,
             env=environment(100),
-            stdout=subprocess.DEVNULL,
             stderr=output,
         )
     until(
@@ -82,20 +80,13 @@ def flight(tmp_path_factory):
     try:
         mavlink = [word for port in ports for word in ("--mavlink", f"udpout:127.0.0.1:{port}")]
         external = "fleet.uav1.commanded_by={kind: external, lockstep: true}"
-        done = subprocess.run(
-            [sys.executable, "-m", "testbed", "run", "scenario.yaml", "--set", external, *mavlink]
-            + ["--pace", "0", "--duration", str(SIMULATED_S), "--out", "run", "--quiet", *signed],
-            cwd=folder,
-            env=environment(100),
-            capture_output=True,
-            text=True,
-            timeout=TIMEOUT_S,
-        )
+        command = ["run", "scenario.yaml", "--set", external, *mavlink, "--pace", "0", *signed]
+        command += ["--duration", SIMULATED_S, "--out", "run", "--quiet"]
+        call_command(*command, cwd=folder, code=0, columns=100)
     finally:
         for each in companions:
             each.send_signal(signal.SIGTERM)
         codes = [each.wait(TIMEOUT_S) for each in companions]
-    assert done.returncode == 0, done.stderr
     return SimpleNamespace(folder=folder, codes=codes)
 
 

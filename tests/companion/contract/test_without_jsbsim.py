@@ -27,22 +27,25 @@ STEPS = """
 import json, sys
 import testbed
 from testbed.companion.follower_control import FollowerControl
-scenario = testbed.load_scenario(sys.argv[1], [f"controller.law={sys.argv[2]}"])
-given = json.loads(sys.argv[3])
-control = FollowerControl(scenario, "uav2")
-for name, value in given["own"].items():
-    control.own["estimate"][name] = value
-commands = []
-for now in given["times"]:
-    for message in control.inbox:
-        for name, value in given["message"].items():
-            message[name] = value
-        message["stamp_s"] = message["received_s"] = message["measured_s"] = now
-        message["number"] += 1
-    control.step(now)
-    commands.append([float(each).hex() for each in control.own["control"]])
+given = json.loads(sys.argv[2])
+of_laws = []
+for law in sys.argv[3:]:
+    scenario = testbed.load_scenario(sys.argv[1], [f"controller.law={law}"])
+    control = FollowerControl(scenario, "uav2")
+    for name, value in given["own"].items():
+        control.own["estimate"][name] = value
+    commands = []
+    for now in given["times"]:
+        for message in control.inbox:
+            for name, value in given["message"].items():
+                message[name] = value
+            message["stamp_s"] = message["received_s"] = message["measured_s"] = now
+            message["number"] += 1
+        control.step(now)
+        commands.append([float(each).hex() for each in control.own["control"]])
+    of_laws.append(commands)
 loaded = [name for name in ("jsbsim", "scipy") if name in sys.modules]
-print(json.dumps([commands, loaded]))
+print(json.dumps([of_laws, loaded]))
 """
 GIVEN = {
     "times": [0.0, 0.04, 0.08],
@@ -94,23 +97,18 @@ def commands_of_run(law):
     return commands
 
 
-@pytest.fixture(scope="module")
-def law_file(tmp_path_factory):
-    path = tmp_path_factory.mktemp("law") / "filtered_law.py"
-    path.write_text(user_laws.FILTERED, "utf-8")
-    return f"{path}:filtered"
-
-
-@pytest.mark.parametrize("law", ["hbh23", "file"])
-def test_commands_are_those_of_a_run(law, law_file):
+def test_commands_are_those_of_a_run(tmp_path):
     """To the bit: of the paper's law, and of one in a file of a user's."""
-    law = law_file if law == "file" else law
-    done = run_without(STEPS, "simulation-3", law, json.dumps(GIVEN))
+    own = tmp_path / "law_filtered.py"  # of the name by which other tests have it compiled
+    own.write_text(user_laws.FILTERED, "utf-8")
+    laws = "hbh23", f"{own}:filtered"
+    done = run_without(STEPS, "simulation-3", json.dumps(GIVEN), *laws)
     assert done.returncode == 0, done.stderr
-    commands, loaded = json.loads(done.stdout)
+    of_laws, loaded = json.loads(done.stdout)
     assert not loaded
-    assert len({tuple(each) for each in commands}) == len(commands)
-    assert commands == commands_of_run(law)
+    for law, commands in zip(laws, of_laws, strict=True):
+        assert len({tuple(each) for each in commands}) == len(commands), law
+        assert commands == commands_of_run(law), law
 
 
 def test_a_command_that_flies_says_what_is_missing():

@@ -5,6 +5,7 @@ import os
 import random
 
 import pytest
+from cases import ALL
 from companion_flights import (
     BREAKS,
     FBWA,
@@ -35,7 +36,12 @@ LOOPBACK = dataclasses.replace(LIMITS, reaches_aircraft=False)
 SEQUENCES = int(os.environ.get("TESTBED_ENGAGEMENTS", "40"))
 RTL = 11
 CASES = [(reason, number) for reason, every in BREAKS.items() for number in range(len(every))]
-LASTING_CASES = [(reason, number) for reason, number in CASES if reason is not Reason.PAUSED]
+# in `make test` one way of each reason: all of them leave an engagement, by the same checks
+LASTING_CASES = [
+    (reason, number)
+    for reason, number in CASES
+    if reason is not Reason.PAUSED and (ALL or number == 0)
+]
 
 
 class Pass:
@@ -293,8 +299,8 @@ def test_texts_fit_into_one_statustext():
         for broken in ways:
             flight = Pass()
             flight.fly(1, FBWA)
-            flight.fly(5, GUIDED, broken)
-            flight.fly(3, FBWA, broken)
+            flight.fly(3, GUIDED, broken)
+            flight.fly(1, FBWA, broken)
             found = texts(flight.decisions)
             assert all(len(text) <= TEXT_BYTES and text.isascii() for text in found), reason
 
