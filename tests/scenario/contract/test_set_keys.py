@@ -272,9 +272,9 @@ def test_batches_and_studies_refuse_too(tmp_path):
 
 def inbox_flight(folder, name, *settings):
     simulation = testbed.Simulation(
-        folder / f"{name}_law.yaml", ["network.delay_s=0.2", *settings], duration_s=6.0
+        folder / f"{name}_law.yaml", ["network.delay_s=0.2", *settings], duration_s=3.0
     )
-    return simulation.step(until=6.0).truth.position_ned
+    return simulation.step(until=3.0).truth.position_ned
 
 
 def test_extrapolation_reaches_own_laws(own_laws):
