@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from testbed.core.frames import course, quaternion_xyzw
 from testbed.core.records import Array, BoolArray
@@ -170,6 +169,8 @@ class FormationCameras:
 
     def _centre(self, batch: ViewBatch, flying: BoolArray, points: Array, heading: Array) -> Array:
         """Compute the smoothed middle of points (m, k, 3), (m, 3) m NED."""
+        from scipy.signal import lfilter  # half a second to load, and reports have no camera
+
         velocity = _mean(batch.velocity[:, : flying.shape[1]], flying)
         travelled = self._travelled + np.cumsum(velocity, axis=0) * self._dt
         ahead = rotate_to_heading(points, heading)
