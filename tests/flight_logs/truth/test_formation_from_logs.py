@@ -10,6 +10,7 @@ from datetime import datetime, timedelta
 import numpy as np
 import pytest
 import yaml
+from cases import ALL
 from flight_logs import ROOT, WIND, write_run_dataflash
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 from typer.testing import CliRunner
@@ -490,9 +491,10 @@ def test_recorded_run_beside_simulated_is_ghosts(formations):
     both = overlay_scenes(simulated, real, ("A", "B"), (False, True))
     assert both.ghosts == (4, 5, 6, 7) and both.runs[1].endswith(", recorded")
     assert overlay_scenes(real, real, ("A", "B"), (True, True)).ghosts == ()
-    out = formations / "both.rrd"
-    invoke(formations, "view", formations / "run", formations / "bin", "--rrd", out)
-    assert out.stat().st_size > 100_000
+    if ALL:  # tests/views shows two runs beside each other
+        out = formations / "both.rrd"
+        invoke(formations, "view", formations / "run", formations / "bin", "--rrd", out)
+        assert out.stat().st_size > 100_000
 
 
 def test_columns_of_a_replay_are_documented():

@@ -9,6 +9,7 @@ import sys
 
 import numpy as np
 import pytest
+from cases import ALL
 from flight_logs import (
     AUTO,
     FBWA,
@@ -68,13 +69,17 @@ TELEMETRY = {"v_down_mps": 0.00501, "altitude_m": 0.00051}
 
 @pytest.mark.parametrize(("kind", "coarser"), [("bin", {}), ("tlog", TELEMETRY)])
 def test_import_returns_the_flight(logs, kind, coarser):
+    check_import(logs, kind, coarser, FLIGHT)
+
+
+def check_import(logs, kind, coarser, rows):
     imported = import_csv(logs / f"flight.{kind}", logs / f"{kind}.csv")
-    assert imported.dtype.names == FLIGHT.dtype.names == COMMANDS + RESPONSES
-    for name in FLIGHT.dtype.names:
-        off = np.abs(imported[name] - FLIGHT[name])
+    assert imported.dtype.names == rows.dtype.names == COMMANDS + RESPONSES
+    for name in rows.dtype.names:
+        off = np.abs(imported[name] - rows[name])
         if name == "psi_rad":
             off = np.minimum(off, 2.0 * math.pi - off)
-        room = coarser.get(name, 0.0) + SIX * np.maximum(np.abs(FLIGHT[name]), 0.1)
+        room = coarser.get(name, 0.0) + SIX * np.maximum(np.abs(rows[name]), 0.1)
         if name.startswith("pwm"):
             room = np.zeros(len(off))
         assert (off <= room).all(), (name, off.max())
@@ -86,25 +91,27 @@ def test_import_returns_the_flight(logs, kind, coarser):
 )
 def test_import_of_another_flight_is_found(tmp_path, kind, name, factor):
     """A sign, a calibration and a unit."""
-    other = FLIGHT.copy()
+    other = SHORT.copy()
     other[name] *= factor
     if kind == "bin":
         write_dataflash(tmp_path / "flight.bin", other)
     else:
         write_tlog(tmp_path / "flight.tlog", tlog_records(other, boot_ms=123_456))
     with pytest.raises(AssertionError, match=name):
-        test_import_returns_the_flight(tmp_path, kind, TELEMETRY)
+        check_import(tmp_path, kind, TELEMETRY, SHORT)
 
 
 @pytest.mark.parametrize("kind", ["bin", "tlog"])
 def test_import_replays_like_the_original(logs, kind):
-    rows = RECORDING.read_text().splitlines(keepends=True)[:1001]  # 40 s
+    seconds = 40 if ALL else 15  # two steps or one
+    rows = RECORDING.read_text().splitlines(keepends=True)[: 25 * seconds + 1]
     (logs / "original.csv").write_text("".join(rows))
     respond(RASCAL, logs / "original.csv", logs / "a.csv")
-    import_csv(logs / f"flight.{kind}", logs / "commands.csv", end=40.0)
+    import_csv(logs / f"flight.{kind}", logs / "commands.csv", end=seconds)
     respond(RASCAL, logs / "commands.csv", logs / "b.csv")
     a, b = (np.genfromtxt(logs / f"{n}.csv", delimiter=",", names=True) for n in "ab")
-    assert len(a) == len(b) == 1000
+    assert len(a) == len(b) == 25 * seconds
+    assert np.abs(a["phi_cmd_rad"]).max() > 0.3
     for name in ("phi_rad", "theta_rad"):
         # measured: no difference; allowed: the effect of a last digit of a command or the start
         assert np.abs(a[name] - b[name]).max() < 1e-5
@@ -451,8 +458,10 @@ def test_import_damaged_definition_is_named(folder):
     assert np.abs(flight.columns["phi_rad"] - SHORT["phi_rad"]).max() < 1e-6
 
 
-def test_only_mit_modules_of_pymavlink_are_loaded(logs):
+def test_only_mit_modules_of_pymavlink_are_loaded(tmp_path):
     """Only its generated tables; the packages around them contain only a version."""
+    write_dataflash(tmp_path / "flight.bin", SHORT)
+    write_tlog(tmp_path / "flight.tlog", tlog_records(SHORT))
     code = f"""
 import json, sys
 from pathlib import Path
@@ -461,7 +470,7 @@ from testbed.flight_logs.flight_import import read_flight
 from testbed.mavlink.signing import Signing
 from testbed.mavlink.tlog import TlogWriter
 for kind in ("bin", "tlog"):
-    read_flight(Path({str(logs)!r}) / f"flight.{{kind}}")
+    read_flight(Path({str(tmp_path)!r}) / f"flight.{{kind}}")
 link = Codec(1, 1, Signing(bytes(32)))
 link.feed(link.pack("PARAM_REQUEST_LIST", target_system=1, target_component=1))
 loaded = [m for name, m in sys.modules.items() if name.split(".")[0] == "pymavlink"]

@@ -5,16 +5,15 @@ import os
 import pty
 import signal
 import socket
-import subprocess
-import sys
 import time
 import tty
 
 import pytest
 from commands import call_command, environment
+from forked import Forked
 from link_loop import attitude, free_port
 from places import ROOT
-from waiting import TIMEOUT_S
+from waiting import TIMEOUT_S, until
 
 from testbed.cli.link import NEVER
 from testbed.link.emulator import LinkEmulator
@@ -127,19 +126,23 @@ def test_a_pseudo_terminal_is_named_and_removed(tmp_path):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_it_with_its_json(number, tmp_path):
     a, b = ends()
-    command = [sys.executable, "-m", "testbed", "link", a, b, "--json", "it.json", "--tlog=it.tlog"]
-    process = subprocess.Popen(
-        command, cwd=tmp_path, env=environment(100), stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+    command = ["link", a, b, "--json", "it.json", "--tlog=it.tlog"]
+    printed, said = tmp_path / "printed.txt", tmp_path / "said.txt"
+    with printed.open("w") as stdout, said.open("w") as stderr:
+        process = Forked(
+            "testbed.cli.main:main", *command, cwd=tmp_path, env=environment(100),
+            stdout=stdout, stderr=stderr,
+        )  # fmt: skip
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as program:
-        assert process.stderr.readline().startswith("link: ")
+        until(lambda: said.read_text() or process.poll() is not None)
+        assert said.read_text().startswith("link: ")
         for number_sent in range(20):
             program.sendto(attitude(number_sent), ("127.0.0.1", int(a.rpartition(":")[2])))
         time.sleep(0.5)
         process.send_signal(number)
-        out, err = process.communicate(timeout=TIMEOUT_S)
-    assert process.returncode == 130 and "Traceback" not in err, err
+        code = process.wait(TIMEOUT_S)
+    out, err = printed.read_text(), said.read_text()
+    assert code == 130 and "Traceback" not in err, err
     found = json.loads((tmp_path / "it.json").read_text())["links"]["a"]["b"]
     assert found["sent"] == found["delivered"] == 20
     assert "ATTITUDE" in out and (tmp_path / "it.b.tlog").stat().st_size > 500

@@ -5,10 +5,12 @@ import re
 import socket
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from commands import SEVERAL, environment
+from cases import ALL
+from commands import SEVERAL, call_command, environment
 
 from testbed.mavlink.udp_endpoint import Endpoint, parse_address
 from testbed.pool.dask_workers import cluster_notices
@@ -59,6 +61,7 @@ def test_single_flight_opens_no_port():
     assert said() == []
 
 
+# of a process: `refuse` is its audit hook, which stays until its end
 OFFLINE = """
 import sys
 def refuse(event, arguments):
@@ -68,14 +71,36 @@ sys.addaudithook(refuse)
 """
 
 
-def test_flight_needs_no_network(tmp_path):
+used = None  # calls of the network, while they are recorded
+
+
+def record_network(event, arguments):
+    if used is not None and event.startswith("socket."):
+        used.append((event, *arguments))
+
+
+sys.addaudithook(record_network)
+
+
+def test_flight_needs_no_network(tmp_path, monkeypatch):
     """Neither a socket nor the name of a host, from the first import to the report."""
-    run = "run simulation-3 --duration=1 --quiet --out=it"
+    commands = ["run simulation-3 --duration=1 --quiet --out=it"]
+    files = ["export it --format=csv", "report it"]  # in this process, which has their libraries
+    if ALL:
+        commands += files
     done = subprocess.run(
-        [sys.executable, "-c", OFFLINE + SEVERAL, run, "export it --format=csv", "report it"],
+        [sys.executable, "-c", OFFLINE + SEVERAL, *commands],
         cwd=tmp_path, env=environment(80), capture_output=True, text=True,
     )  # fmt: skip
-    assert re.findall(r"^exit (\d+)", done.stderr, re.M) == ["0"] * 3, done.stderr
+    assert re.findall(r"^exit (\d+)", done.stderr, re.M) == ["0"] * len(commands), done.stderr
+    monkeypatch.setitem(globals(), "used", [])
+    if not ALL:
+        for each in files:
+            call_command(*each.split(), cwd=tmp_path, code=0, columns=80)
+    assert used == []
+    with suppress(OSError):
+        socket.getaddrinfo("localhost", None)
+    assert used
 
 
 @pytest.mark.parametrize(
