@@ -67,10 +67,6 @@ def start_mavproxy(folder, flight, master, *options):
         try:
             yield Terminal(process, flight, output_file)
         finally:
-            process.terminate()
-            try:
-                process.wait(10.0)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+            process.kill()  # it does not end by SIGTERM, and nothing that it writes is used
+            process.wait()
             process.stdin.close()

@@ -1,21 +1,20 @@
 """Ground stations read all parameters of a vehicle through a bad radio, over UDP and as serial.
 
-TESTBED_BAD_LINKS=1 also runs MAVProxy over UDP, and what reports of the radio change for four
-aircraft on it. Times and counts are printed: pytest -s.
+TESTBED_BAD_LINKS=1 also runs MAVProxy, and MAVSDK over UDP, and what reports of the radio change
+for four aircraft on it. Times and counts are printed: pytest -s.
 """
 
 import json
 import os
 import re
 import signal
-import subprocess
-import sys
 import time
 from contextlib import contextmanager
 
 import pytest
-from commands import call_command
+from commands import call_command, environment
 from external_run import ROOT, clients, free_port, run_client, start_run
+from forked import Forked
 from mavproxy import start_mavproxy
 from waiting import TIMEOUT_S, until
 
@@ -43,24 +42,23 @@ class Link:
 @contextmanager
 def start_link(folder, a, b, *options):
     folder.mkdir(exist_ok=True)
-    command = [sys.executable, "-m", "testbed", "link", a, b, "--json", "link.json"]
+    command = ["link", a, b, "--json", "link.json"]
     command += ["--tlog", "link.tlog", "--pcap", "link.pcap", *options]
     with (folder / "link.txt").open("w") as output:
-        process = subprocess.Popen(
-            list(map(str, command)),
+        process = Forked(
+            *("testbed.cli.main:main", *command),
             cwd=folder,
-            env={**os.environ, "PYTHONPATH": str(ROOT)},
+            env=environment(100),
             stdout=output,
-            stderr=subprocess.STDOUT,
+            stderr=output,
         )
         try:
             until(lambda: "link: " in (folder / "link.txt").read_text() or process.poll())
             assert process.poll() is None, (folder / "link.txt").read_text()
             yield Link(process, folder)
         finally:
-            if process.poll() is None:
-                process.kill()
-            process.wait()
+            process.kill()
+            process.wait(TIMEOUT_S)
 
 
 def lost_of(link):
@@ -91,8 +89,28 @@ def parameters_by_mavproxy(folder, kind, *options):
         return int(re.search(r"Received (\d+) parameters", ground.output)[1]), seconds, link.stop()
 
 
+def check_records(folder, link):
+    """What was recorded at the station's end is a part of what the vehicle sent, and a flight log.
+
+    Args:
+        folder: in which the link ran.
+        link: its summary.
+    """
+    sent_by_vehicle, heard = (
+        [message for _, message in Tlog(folder / f"link.{end}.tlog")] for end in "ba"
+    )
+    frames = {message.frame for message in sent_by_vehicle if message.system == 1}
+    got = [message.frame for message in heard if message.system == 1]
+    arrived = link["links"]["b"]["a"]
+    assert set(got) < frames
+    assert len(got) == arrived["delivered"] - arrived["on_way_at_end"]
+    words = "import", folder / "link.a.tlog", "--system", 1, "--mode", "any"
+    call_command(*words, "--out", "it.csv", cwd=folder, code=0, columns=100)
+    assert len((folder / "it.csv").read_text().splitlines()) > 20
+
+
+@with_all
 def test_mavproxy_reads_parameters_by_a_serial_radio(tmp_path, capsys):
-    """And what was recorded at its end of the radio is a flight log."""
     count, seconds, link = parameters_by_mavproxy(tmp_path / "it", "pty", "--network", SIK)
     sent, lost = lost_of(link)
     with capsys.disabled():
@@ -100,20 +118,10 @@ def test_mavproxy_reads_parameters_by_a_serial_radio(tmp_path, capsys):
     assert count == 76 and seconds < LONGEST_S
     assert 0.0 < lost["lost"] < 0.12 * sent and link["emulator"]["radio_reports"] > 5
     assert link["emulator"]["unread"] == link["emulator"]["not_sent"] == 0
-    sent_by_vehicle, heard = (
-        [message for _, message in Tlog(tmp_path / "it" / f"link.{end}.tlog")] for end in "ba"
-    )
-    frames = {message.frame for message in sent_by_vehicle if message.system == 1}
-    got = [message.frame for message in heard if message.system == 1]
-    arrived = link["links"]["b"]["a"]
-    assert set(got) < frames
-    assert len(got) == arrived["delivered"] - arrived["on_way_at_end"]
-    words = "import", tmp_path / "it" / "link.a.tlog", "--system", 1, "--mode", "any"
-    call_command(*words, "--out", "it.csv", cwd=tmp_path, code=0, columns=100)
-    assert len((tmp_path / "it.csv").read_text().splitlines()) > 20
+    check_records(tmp_path / "it", link)
 
 
-@pytest.mark.parametrize("kind", ["udp", pytest.param("pty", marks=with_all)])
+@pytest.mark.parametrize("kind", ["pty", pytest.param("udp", marks=with_all)])
 def test_mavsdk_reads_all_parameters_by_a_radio(kind, tmp_path, capsys):
     vehicle, station, device = free_port(), free_port(), tmp_path / "radio"
     python = clients() / "python"
@@ -138,6 +146,10 @@ def test_mavsdk_reads_all_parameters_by_a_radio(kind, tmp_path, capsys):
         print(f" {sent} frames, {lost}")
     assert found["count"] == 76 and found["seconds"] < LONGEST_S
     assert lost["lost"] > 0
+    if kind == "pty":
+        assert summary["emulator"]["radio_reports"] > 5
+        assert summary["emulator"]["unread"] == summary["emulator"]["not_sent"] == 0
+    check_records(tmp_path / "link", summary)
 
 
 @with_all

@@ -10,7 +10,7 @@ UAV3 = 4  # its system
 
 def test_dead_client_leaves_run_and_log_complete(tmp_path):
     with MavlinkClient() as client:
-        arguments = (f"--mavlink={client.address}", "--pace=2", f"--duration={SECONDS}", EXTERNAL)
+        arguments = (f"--mavlink={client.address}", "--pace=4", f"--duration={SECONDS}", EXTERNAL)
         with start_run(tmp_path / "flight", *arguments) as flight:
             for message in client.messages_until_end(flight):
                 if message.name == "ATTITUDE" and message.system == UAV3:

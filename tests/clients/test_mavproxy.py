@@ -30,7 +30,7 @@ def test_mavproxy_parameters_mission_and_modes(tmp_path):
     way.write_text(MISSION.replace(" ", "\t").replace("QGC\tWPL\t", "QGC WPL "))
     with (
         start_run(
-            tmp_path / "flight", f"--mavlink=udpin:127.0.0.1:{port}", "--pace=4", "--tlog"
+            tmp_path / "flight", f"--mavlink=udpin:127.0.0.1:{port}", "--pace=8", "--tlog"
         ) as flight,
         start_mavproxy(tmp_path / "ground", flight, f"udpout:127.0.0.1:{port}") as ground,
     ):
@@ -134,6 +134,7 @@ def test_mavproxy_needs_the_key(tmp_path):
             ground.see("Received ")
             ground.type("mode LOITER")
             ground.see("Got COMMAND_ACK: DO_SET_MODE: ACCEPTED")
+            ground.see("Mode LOITER")  # flown
         metrics = flight.stop()
     assert metrics["mavlink"]["rejected"] == {"forged": 3, "unsigned": 3}
     assert metrics["mavlink"]["clients"] == ["245.230"]

@@ -13,8 +13,8 @@ from external_run import start_run
 from mavlink_client import MavlinkClient
 
 FRAMES = int(os.environ.get("TESTBED_FRAMES", "2000"))
-AT_ONCE = FRAMES // 150  # per received datagram, so that the storm lasts half the flight
-SECONDS = 12.0
+SECONDS = 12.0 if FRAMES > 2000 else 6.0
+AT_ONCE = int(FRAMES / (12.5 * SECONDS))  # per received datagram: it lasts half the flight
 SEED = 20261122
 WALL_CLOCK_KEYS = {"wall_s", "real_time_factor", "mavlink", "pace"}
 COMMANDS = (16, 20, 21, 22, 178, 192, 246, 300, 400, 511, 512, 31000)
