@@ -31,7 +31,7 @@ from testbed.network.encoding import flip_bits
 from testbed.network.philox import key_of
 from testbed.scenario.network import Network
 
-DAMAGED = 100 * int(os.environ.get("TESTBED_FRAMES", "10000"))
+DAMAGED = 100 * int(os.environ.get("TESTBED_FRAMES", "4000"))
 CHUNK = 1 << 16
 LEVEL = 0.01 / 4  # of significance; four statistical tests
 ORIGINS = [NedOrigin(), NedOrigin(-35.5, 149.25, 584.0), NedOrigin(51.0, -179.999, -20.0)]

@@ -385,11 +385,12 @@ def named(key):
     return next((part for part in reversed(key.split(".")) if not part.isdigit()), "")
 
 
+@cache
 def every_number():
-    """Yield plain data of a scenario, path and bounds of each number of the schema."""
+    """Return plain data of a scenario, path and bounds of each number of the schema."""
     file = open_scenario(FOLDER / "everything.yaml")
     schema = Scenario.model_json_schema(by_alias=True)
-    seen = set()
+    seen, found = set(), []
     for other in ["log.mcap=false", *OTHER_KINDS]:
         data = file.resolve([other]).model_dump(mode="json", by_alias=True)
         tree = plant(data, FilePosition(""))
@@ -398,7 +399,8 @@ def every_number():
             key = ".".join(path)
             if key not in seen and not any(each in key for each in UNBOUNDED):
                 seen.add(key)
-                yield data, key, bounds_at(schema, tree, path)
+                found.append((data, key, bounds_at(schema, tree, path)))
+    return found
 
 
 def bounds_at(schema, tree, path):
@@ -436,7 +438,7 @@ BOUNDS_OF_NUMBER = [("minimum", "exclusiveMinimum"), ("maximum", "exclusiveMaxim
 
 def test_absurd_numbers_are_refused_or_warned_of():
     """Each number of the schema at its bounds and beyond; TESTBED_NUMBERS=1 takes all of them."""
-    every = list(every_number())
+    every = every_number()
     assert len(every) > 350
     if not os.environ.get("TESTBED_NUMBERS"):
         every = random.Random("bounds").sample(every, 30)
