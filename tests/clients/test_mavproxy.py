@@ -30,7 +30,7 @@ def test_mavproxy_parameters_mission_and_modes(tmp_path):
     way.write_text(MISSION.replace(" ", "\t").replace("QGC\tWPL\t", "QGC WPL "))
     with (
         start_run(
-            tmp_path / "flight", f"--mavlink=udpin:127.0.0.1:{port}", "--pace=8", "--tlog"
+            tmp_path / "flight", f"--mavlink=udpin:127.0.0.1:{port}", "--pace=4", "--tlog"
         ) as flight,
         start_mavproxy(tmp_path / "ground", flight, f"udpout:127.0.0.1:{port}") as ground,
     ):
