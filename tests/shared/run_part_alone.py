@@ -1,6 +1,6 @@
 """Import a part and run its snippet while the packages that it may not use cannot be imported.
 
-A program: it reads a JSON object from standard input, and prints what the snippet prints.
+`main` is called with a dictionary:
 
     blocked   packages of the testbed whose import fails
     packages  packages of which every module is imported
@@ -9,7 +9,6 @@ A program: it reads a JSON object from standard input, and prints what the snipp
 """
 
 import importlib
-import json
 import pkgutil
 import sys
 from importlib.abc import MetaPathFinder
@@ -29,8 +28,7 @@ class BlockedPackages(MetaPathFinder):
         return None
 
 
-def main():
-    given = json.load(sys.stdin)
+def main(given):
     sys.meta_path.insert(0, BlockedPackages(given["blocked"]))
     for package in given["blocked"]:
         try:
@@ -45,7 +43,3 @@ def main():
     for module, name in given["names"]:
         attrgetter(name)(importlib.import_module(module))
     exec(compile(given["snippet"], "snippet", "exec"), {"__name__": "__main__"})
-
-
-if __name__ == "__main__":
-    main()

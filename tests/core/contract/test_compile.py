@@ -3,15 +3,13 @@
 import json
 import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import numba
 import pytest
 from commands import call_command
+from fresh import NOT_MOUNTED, run_fresh
 from places import ROOT
-from waiting import TIMEOUT_S
 
 from testbed.core import compile as compiling
 from testbed.core.compile import KERNEL_PACKAGES, kept_files, source_digest
@@ -44,6 +42,7 @@ step(records)
 hits = sum(step.dispatcher.stats.cache_hits.values()) if hasattr(step, "dispatcher") else "plain"
 print(records["x"].tolist(), hits)
 """
+MAIN = "from testbed.cli.main import main; main()"
 
 
 @pytest.fixture
@@ -65,30 +64,22 @@ def package(tmp_path):
     return package
 
 
-def printed(package, *, script=CALL, mount="", **environment):
-    return run_python(["-c", script], package.parent, package.parent, mount, **environment)
-
-
-def run_python(arguments, folder, cwd, mount="", **environment):
-    """Output of Python with modules of a folder, after a mount that other processes do not see."""
+def printed(package, *, script=CALL, folder=None, mount="", **variables):
+    """Output of a script that imports a package, after a mount that other processes do not see."""
+    # without variables that say where machine code is kept
     without = ("NUMBA_", "XDG_CACHE_HOME")
     inherited = {key: value for key, value in os.environ.items() if not key.startswith(without)}
-    command = [sys.executable, *arguments]
-    if mount:
-        unshare = ["unshare", "--mount", *(["--user", "--map-root-user"] if os.geteuid() else [])]
-        command = [*unshare, "sh", "-ec", f'{mount} || exit 9; exec "$@"', "sh", *command]
-    done = subprocess.run(
-        command,
-        cwd=cwd,
-        env={**inherited, "PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1", **environment},
-        capture_output=True,
-        text=True,
-        timeout=TIMEOUT_S,
+    code, output, errors = run_fresh(
+        script,
+        folder=folder or package.parent,
+        paths=[package.parent],
+        env={**inherited, "PYTHONDONTWRITEBYTECODE": "1", **variables},
+        mount=mount,
     )
-    if mount and (done.returncode == 9 or "unshare" in done.stderr):
+    if mount and code == NOT_MOUNTED:
         pytest.skip("nothing can be mounted here, neither as root nor in a user namespace")
-    assert done.returncode == 0, done.stderr
-    return done.stdout.strip()
+    assert code == 0, errors
+    return output.strip()
 
 
 def read_only(folder):
@@ -296,10 +287,10 @@ def test_command_flies_from_a_read_only_installation(tmp_path):
     lost = compiling.cache_folder().glob("testbed.flight.steps.has_events-*.code")
     mounts = [read_only(ROOT), *(f"mount --bind /dev/null {each}" for each in lost)]
     assert mounts[1:], "no machine code is lost"
-    done = run_python(
-        ["-P", "-m", "testbed", "run", *command],
-        ROOT,
-        cwd=tmp_path,
+    done = printed(
+        ROOT / "testbed",
+        script=f"import sys; sys.argv = {['testbed', 'run', *command]}; {MAIN}",
+        folder=tmp_path,
         mount=" && ".join(mounts),
         HOME=str(ROOT / "nonexistent"),
     )
@@ -382,4 +373,4 @@ print(found)
 def test_debugger_and_compiler_fly_the_same_bits():
     """NUMBA_DISABLE_JIT=1 runs every kernel of a flight as Python."""
     exec(FLIGHT, compiled := {})
-    assert run_python(["-c", FLIGHT], ROOT, ROOT, NUMBA_DISABLE_JIT="1") == str(compiled["found"])
+    assert printed(ROOT / "testbed", script=FLIGHT, NUMBA_DISABLE_JIT="1") == str(compiled["found"])
