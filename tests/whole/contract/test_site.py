@@ -11,6 +11,7 @@ from subprocess import PIPE
 from urllib.parse import unquote
 
 import pytest
+from cases import ALL
 from places import ROOT
 from report_pages import CHROMIUM, NEEDS_CHROMIUM
 from typer.testing import CliRunner
@@ -34,7 +35,9 @@ HEAVY = {
 BUILDER = """
 import contextlib, io, json, os, sys
 sys.path.insert(0, "website")
-import build
+import build, linked_files
+if not json.loads(sys.argv.pop()):
+    linked_files.LANGUAGES.clear()
 for line in sys.stdin:
     sys.argv[1:], os.environ["REPOSITORY_URL"] = json.loads(line)
     with contextlib.redirect_stdout(sys.stderr), contextlib.redirect_stderr(io.StringIO()) as said:
@@ -55,7 +58,8 @@ nav = ["index.md"]
 def build():
     """Function that builds the site of a repository: exit code, errors, modules; one process."""
     pytest.importorskip("zensical", reason="make setup installs it: the extra docs")
-    command = [sys.executable, "-B", "-c", BUILDER]
+    coloured = json.dumps(ALL)  # the files that pages link to, which is half of the work
+    command = [sys.executable, "-B", "-c", BUILDER, coloured]
     with subprocess.Popen(command, cwd=ROOT, stdin=PIPE, stdout=PIPE, text=True) as process:
 
         def build(repository, into, url=""):
@@ -245,8 +249,6 @@ def test_reference_has_the_public_names(site):
         ("```text\n\n```\n[a](../testbed/x.py)", "docs/index.md:6: there is no testbed/x.py"),
         ("![a](images/x.png)", "docs/index.md:3: there is no docs/images/x.png"),
         ("[a](../../x.md)", "docs/index.md:3: there is no ../x.md in the repository"),
-        ("[a](#nobody)", "index.md:3"),  # by Zensical
-        ("[a](index.md#nobody)", "index.md:3"),
         ("<!-- made: everything -->", "docs/index.md: no generator for 'everything'"),
         ("::: testbed.Nobody", "docs/index.md: there is no testbed.Nobody"),
     ],
@@ -256,6 +258,13 @@ def test_a_page_that_leads_nowhere_is_an_error(build, small, text, said):
     page.write_text(f"# Page\n\n{text}\n")
     code, errors, _ = build(small, small / "build")
     assert code == 2 and said in errors and "Traceback" not in errors
+
+
+def test_missing_parts_of_pages_are_errors(build, small):
+    (small / "docs/index.md").write_text("# Page\n\n[a](#nobody)\n\n[a](index.md#nobody)\n")
+    code, errors, _ = build(small, small / "build")
+    assert code == 2 and "Traceback" not in errors
+    assert "index.md:3" in errors and "index.md:5" in errors
 
 
 def test_navigation_and_pages_must_agree(build, small):
@@ -269,13 +278,13 @@ def test_navigation_and_pages_must_agree(build, small):
     assert (code, "nav has other.md: no page" in errors) == (2, True)
 
 
-@pytest.mark.parametrize("repository", ["", "https://git.example/group/testbed"])
-def test_pages_link_to_the_repository_if_it_is_known(build, small, repository):
+def test_pages_link_to_the_repository_if_it_is_known(build, small, site):
+    assert "md-source__repository" not in (site[0] / "index.html").read_text(encoding="utf-8")
+    repository = "https://git.example/group/testbed"
     code, errors, _ = build(small, small / "build", repository)
     assert code == 0, errors
     text = (small / "build/site/index.html").read_text(encoding="utf-8")
-    assert ("md-source__repository" in text) is bool(repository)
-    assert not repository or repository in Page(text).links
+    assert "md-source__repository" in text and repository in Page(text).links
 
 
 def test_search_has_every_page(site, pages):
