@@ -1,17 +1,19 @@
 """The action for other repositories: its steps as scripts, on a repository with its own files."""
 
 import json
+import os
 import re
 import shutil
-import subprocess
 import sys
 from pathlib import Path
+from unittest.mock import patch
 from xml.etree import ElementTree
 
 import pytest
 import yaml
 from commands import call_command, environment
 from places import ROOT
+from shells import run_shell, write_program
 from small_study import in_this_process
 
 from testbed.core.compile import cache_folder
@@ -53,16 +55,24 @@ def repository(tmp_path_factory):
 
 
 class Runner:
-    """Runs the scripts of the action as a runner of GitHub does."""
+    """Runs the scripts of the action as a runner of GitHub does.
 
-    def __init__(self, repository, temporary, **inputs):
+    The command runs in this process, or in one of its own, as an installed one does.
+    """
+
+    def __init__(self, repository, temporary, *, installed=False, **inputs):
         self.repository, self.temporary = repository, temporary
         defaults = {name: each.get("default", "") for name, each in ACTION["inputs"].items()}
         self.inputs = {f"inputs.{name}": value for name, value in (defaults | inputs).items()}
         self.inputs["github.action_path"] = str(ROOT)
         temporary.mkdir()
-        (temporary / "testbed").mkdir()
-        (temporary / "testbed" / "bin").symlink_to(Path(sys.executable).parent)
+        programs = temporary / "testbed" / "bin"
+        if installed:
+            programs.parent.mkdir()
+            programs.symlink_to(Path(sys.executable).parent)
+        else:
+            programs.mkdir(parents=True)
+            write_program(programs / "testbed")
         cache = temporary / ".cache" / "testbed-check"
         cache.mkdir(parents=True)
         (cache / "kernels").symlink_to(cache_folder().parent)  # as restored from an earlier job
@@ -77,22 +87,21 @@ class Runner:
         }
         script = self.temporary / "step.sh"
         script.write_text(step["run"])
-        done = subprocess.run(
-            ["bash", "--noprofile", "--norc", "-eo", "pipefail", script],
-            cwd=self.repository / self.expand(step.get("working-directory", ".")),
-            env={
-                **environment(100),
-                "HOME": str(self.temporary),
-                "RUNNER_TEMP": str(self.temporary),
-                "GITHUB_WORKSPACE": str(self.repository),
-                **files,
-                **variables,
-            },
-            capture_output=True,
-            text=True,
-            timeout=300,
-        )
-        return done.returncode, done.stdout + done.stderr
+        outside = {"GITHUB_WORKSPACE": str(self.repository)}
+        with in_this_process(), patch.dict(os.environ, outside):
+            return run_shell(
+                ["bash", "--noprofile", "--norc", "-eo", "pipefail", script],
+                cwd=self.repository / self.expand(step.get("working-directory", ".")),
+                env={
+                    **environment(100),
+                    "HOME": str(self.temporary),
+                    "RUNNER_TEMP": str(self.temporary),
+                    **outside,
+                    **files,
+                    **variables,
+                },
+                columns=100,
+            )
 
     def expand(self, text):
         return WORDS.sub(lambda found: self.inputs[found[1]], text)
@@ -106,7 +115,8 @@ class Runner:
 
 
 def test_action_passes_with_a_summary(repository, tmp_path):
-    runner = Runner(repository, tmp_path / "runner", scenarios="flights/*.yaml", options="--jobs 1")
+    inputs = {"scenarios": "flights/*.yaml", "options": "--jobs 1"}
+    runner = Runner(repository, tmp_path / "runner", installed=True, **inputs)
     code, printed = runner.run("Check")
     assert code == 0, printed
     assert "1 passed" in printed and "::error" not in printed

@@ -7,22 +7,17 @@ from __future__ import annotations
 
 import contextlib
 import io
-import json
 import os
 import re
-import socket
-import stat
-import subprocess
 import sys
-import tempfile
 from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
 
 import pytest
-from commands import call, environment
+from commands import environment
 from places import ROOT
-from waiting import TIMEOUT_S
+from shells import run_shell, write_program
 
 from testbed.scenario import find_scenario, list_scenarios, loads
 
@@ -72,13 +67,7 @@ for word do
   [ "$word" = --view ] || set -- "$@" "$word"
 done
 [ "$1" = view ] && exec "{python}" -m testbed "$@"
-exec "{python}" -IS "{client}" "$@"
-"""
-CLIENT = """
-import json, os, socket, sys
-line = socket.socket(fileno=int(os.environ["TESTBED_SOCKET"]))
-socket.send_fds(line, [json.dumps([os.getcwd(), sys.argv[1:]]).encode()], [1, 2])
-sys.exit(int(line.recv(16)))
+exec "{client}" "$@"
 """
 
 
@@ -143,53 +132,23 @@ def new_folder(tmp_path_factory):
             (folder / name).symlink_to(ROOT / name)
         (folder / "bin").mkdir()
         client = folder / "bin" / "client.py"
-        client.write_text(CLIENT)
-        command = folder / "bin" / "testbed"
-        command.write_text(WRAPPER.format(long_s=LONG_S, python=sys.executable, client=client))
-        python = folder / "bin" / "python"
-        python.write_text(f'#!/bin/sh\nexec "{sys.executable}" "$@"\n')
-        for each in (command, python):
-            each.chmod(each.stat().st_mode | stat.S_IXUSR)
+        write_program(client)
+        wrapper = WRAPPER.format(long_s=LONG_S, python=sys.executable, client=client)
+        write_program(folder / "bin" / "testbed", wrapper)
+        write_program(folder / "bin" / "python", f'#!/bin/sh\nexec "{sys.executable}" "$@"\n')
         return folder
 
     return make
 
 
-def run_shell(folder, text, run_s=LONG_S):
+def shell(folder, text, run_s=LONG_S):
     """Run a shell snippet, its `testbed` commands in this process; return what it prints."""
-    server, client = socket.socketpair()
-    with server, tempfile.TemporaryFile("w+") as output:
-        server.settimeout(TIMEOUT_S)
-        variables = environment(80) | {
-            "PATH": f"{folder / 'bin'}{os.pathsep}{os.environ['PATH']}",
-            "TESTBED_SOCKET": str(client.fileno()),
-            "TESTBED_RUN_S": f"{run_s:g}",
-        }
-        shell = subprocess.Popen(
-            ("bash", "-euc", text),
-            cwd=folder,
-            env=variables,
-            stdout=output,
-            stderr=output,
-            pass_fds=[client.fileno()],
-        )
-        try:
-            client.close()
-            while True:  # until the shell and its children have closed the socket
-                request, files, *_ = socket.recv_fds(server, 65536, 2)
-                if not request:
-                    break
-                cwd, arguments = json.loads(request)
-                with open(files[0], "w") as out, open(files[1], "w") as err:
-                    code = call(arguments, cwd=cwd, columns=80, out=out, err=err)
-                server.sendall(str(code).encode())
-            shell.wait(timeout=TIMEOUT_S)
-        finally:
-            shell.kill()
-            shell.wait()
-        output.seek(0)
-        printed = output.read()
-    assert shell.returncode == 0, printed
+    variables = environment(80) | {
+        "PATH": f"{folder / 'bin'}{os.pathsep}{os.environ['PATH']}",
+        "TESTBED_RUN_S": f"{run_s:g}",
+    }
+    code, printed = run_shell(("bash", "-euc", text), cwd=folder, env=variables)
+    assert code == 0, printed
     return trimmed(printed)
 
 
@@ -217,7 +176,7 @@ def test_snippets_in_order_print_their_output(page, new_folder):
             (folder / snippet.file).write_text(snippet.text, encoding="utf-8")
             continue
         if snippet.kind == "sh":
-            printed = run_shell(folder, snippet.text, run_s)
+            printed = shell(folder, snippet.text, run_s)
         else:
             printed = run_python(folder, snippet.text, namespace)
         if snippet.output is not None:
@@ -228,7 +187,7 @@ def test_snippets_in_order_print_their_output(page, new_folder):
 def simulation_3(new_folder):
     """The flight whose table the README shows: printed output and log."""
     folder = new_folder()
-    printed = run_shell(folder, "testbed run simulation-3 --out shown")
+    printed = shell(folder, "testbed run simulation-3 --out shown")
     return printed, (folder / "shown" / "run.mcap").read_bytes()
 
 
@@ -296,7 +255,7 @@ def test_pasted_table_has_the_printed_headings(simulation_3):
 @pytest.mark.skipif(not os.environ.get("TESTBED_DOCS"), reason="a whole flight: TESTBED_DOCS=1")
 def test_pasted_table_is_that_of_a_whole_flight(new_folder):
     """Every number but the time that it took."""
-    printed = run_shell(new_folder(), "testbed run simulation-3 --out shown", run_s=1080.0)
+    printed = shell(new_folder(), "testbed run simulation-3 --out shown", run_s=1080.0)
     pasted = next(s.text for s in snippets("README.md") if " follower " in s.text)
 
     def words(text):
