@@ -15,9 +15,11 @@ from itertools import zip_longest
 from pathlib import Path
 
 import pytest
+from cases import ALL, some
 from commands import environment
 from places import ROOT
 from shells import run_shell, write_program
+from small_study import in_this_process
 
 from testbed.scenario import find_scenario, list_scenarios, loads
 
@@ -41,8 +43,13 @@ LONG = (
     "docs/network.md",
     "docs/own-aircraft.md",
 )
+# Of these, which take a second or more, some are run.
+DRAWN = (
+    *("docs/ci.md", "docs/from-python.md", "docs/large.md", "docs/margins.md", "docs/rl.md"),
+    *("docs/scenarios.md", "docs/tune.md"),
+)
 # Duration of flights in shell snippets, s; long where output of a flight is pasted.
-SHORT_S, LONG_S = 15.0, 100.0
+SHORT_S, LONG_S = 15.0 if ALL else 4.0, 100.0
 PAGES_WITH_FLIGHT_OUTPUT = (
     "docs/air.md",
     "docs/export.md",
@@ -117,6 +124,7 @@ PAGES_TO_RUN = [
     )
     for page in PAGES
     if any(snippet.page == page for snippet in SHELL + PYTHON)
+    if page not in DRAWN or page in some(DRAWN, 3)
 ]
 TOUR = ("## Simulation 3, key by key", "## Extend a scenario")  # a section and the next one
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -147,7 +155,8 @@ def shell(folder, text, run_s=LONG_S):
         "PATH": f"{folder / 'bin'}{os.pathsep}{os.environ['PATH']}",
         "TESTBED_RUN_S": f"{run_s:g}",
     }
-    code, printed = run_shell(("bash", "-euc", text), cwd=folder, env=variables)
+    with in_this_process():
+        code, printed = run_shell(("bash", "-euc", text), cwd=folder, env=variables)
     assert code == 0, printed
     return trimmed(printed)
 
@@ -155,7 +164,7 @@ def shell(folder, text, run_s=LONG_S):
 def run_python(folder, text, namespace):
     """Run a Python snippet in this process after those before it; return what it prints."""
     output = io.StringIO()
-    with contextlib.chdir(folder), contextlib.redirect_stdout(output):
+    with contextlib.chdir(folder), contextlib.redirect_stdout(output), in_this_process():
         exec(compile(text, "snippet", "exec"), namespace)
     return trimmed(output.getvalue())
 
