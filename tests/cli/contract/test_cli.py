@@ -15,10 +15,14 @@ from unittest.mock import Mock
 import golden_scenarios
 import pytest
 import typer
+from cases import some
 from commands import call_command, environment, refuse_all, run_command
+from forked import Forked
+from fresh import run_fresh
 from places import ROOT
 from snapshot import check_snapshot
 from typer.testing import CliRunner
+from waiting import TIMEOUT_S
 
 import testbed
 from testbed.cli import entry
@@ -79,40 +83,24 @@ def test_command_reference_is_as_reviewed():
     check_snapshot("command_reference", reference.markdown())
 
 
-def test_help_loads_no_heavy_library(tmp_path):
-    code = (
-        "import json, sys; from testbed.cli.main import app;"
-        "app(['--help'], standalone_mode=False);"
-        "print(json.dumps(sorted(sys.modules)), file=sys.stderr)"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, env=ENV, capture_output=True, text=True
-    )
-    loaded = set(json.loads(done.stderr.splitlines()[-1]))
-    assert "testbed.cli.main" in loaded
-    assert not loaded & {"jsbsim", "numba", "rerun", "numpy", "scipy", "yaml", "mcap", "pydantic"}
-    assert not any(name.startswith("pymavlink") for name in loaded)
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ("list",),
-        ("schema",),
-        ("validate", "simulation-3"),
-        ("trim", "rascal110", "--airspeed", "22"),
-        ("linearize", "rascal110", "--airspeed", "22"),
-        ("step", "rascal110"),
-    ],
-    ids=" ".join,
+ALONE = (
+    *("list", "schema", "validate simulation-3", "trim rascal110 --airspeed 22"),
+    *("linearize rascal110 --airspeed 22", "step rascal110"),
 )
-def test_command_alone_in_a_process_prints_the_same(tmp_path, arguments):
+
+
+@pytest.mark.parametrize("words", some(ALONE, 3))
+def test_command_alone_in_a_process_prints_the_same(tmp_path, words):
     """A command imports all it needs, whatever was imported before."""
-    ours, alone = (each(*arguments, cwd=tmp_path) for each in (cli, cli_process))
-    assert (ours.stdout, ours.stderr) == (alone.stdout, alone.stderr)
-    assert alone.stdout
+    arguments = words.split()
+    ours = cli(*arguments, cwd=tmp_path)
+    code = f"import runpy, sys; sys.argv[1:] = {arguments!r}; {RUN}"
+    alone = run_fresh(code, folder=tmp_path, paths=[ROOT], env=ENV)
+    assert alone == [0, ours.stdout, ours.stderr]
+    assert ours.stdout
 
 
+RUN = "runpy.run_module('testbed', run_name='__main__')"
 LAWS = ("hbh23", *list_laws())
 
 
@@ -153,15 +141,6 @@ def test_each_scenario_is_in_one_group_of_list():
     grouped = [name for group in GROUPS.values() for name in group]
     assert sorted(grouped) == sorted(list_scenarios())
     assert set(STUDIES) == set(list_studies()) and set(TUNES) == set(list_tunings())
-
-
-def test_short_list_loads_no_numba(tmp_path):
-    code = (
-        "import sys; from testbed.cli.main import app; app(['list'], standalone_mode=False);"
-        "sys.exit('numba' in sys.modules)"
-    )
-    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=ENV, capture_output=True)
-    assert done.returncode == 0, done.stderr
 
 
 def test_list_of_a_name_prints_question_and_file(tmp_path):
@@ -289,18 +268,11 @@ def test_closed_pipe_exits_0(tmp_path, arguments):
     """Such as that of `head`; rich would exit with 1, the code of a lost aircraft."""
     read, write = os.pipe()
     os.close(read)
-    try:
-        done = subprocess.run(
-            [sys.executable, "-m", "testbed", *arguments],
-            cwd=tmp_path,
-            env=ENV,
-            stdout=write,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-    finally:
-        os.close(write)
-    assert (done.returncode, said(done.stderr)) == (0, [])
+    with open(write, "wb") as pipe, open(tmp_path / "errors", "wb") as errors:
+        streams = {"stdout": pipe, "stderr": errors}
+        process = Forked("testbed.cli.entry:main", *arguments, cwd=tmp_path, env=ENV, **streams)
+        code = process.wait(TIMEOUT_S)
+    assert (code, said((tmp_path / "errors").read_text())) == (0, [])
     if "run" in arguments:
         metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())
         assert metrics["outcome"] == "completed"

@@ -4,6 +4,7 @@ import subprocess
 import sys
 
 import pytest
+from cases import some
 from commands import call_command, environment, refuse_all
 from waiting import TIMEOUT_S
 
@@ -58,7 +59,7 @@ def in_removed_directory(arguments, folder):
 
 def test_removed_directory_is_one_error_line(tmp_path):
     """Before any command begins."""
-    for arguments in (["run", "simulation-3"], ["list"], ["recover", "run"]):
+    for arguments in some((["run", "simulation-3"], ["list"], ["recover", "run"]), 1):
         assert in_removed_directory(arguments, tmp_path / "removed") == (
             2,
             "error: the current directory cannot be used: No such file or directory; change to "

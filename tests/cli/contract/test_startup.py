@@ -63,7 +63,9 @@ def test_run_loads_only_the_libraries_it_uses(tmp_path):
 
 
 def test_list_loads_no_compiler(tmp_path):
-    code = "from testbed.cli.main import app; app(['list', '--json'], standalone_mode=False)"
+    code = "from testbed.cli.main import app"
+    for words in (["list"], ["list", "--json"]):
+        code += f"; app({words}, standalone_mode=False)"
     loaded = loaded_by(code, tmp_path)
     assert "testbed.scenario" in loaded
     assert not {"numba", "jsbsim", "pyarrow", "matplotlib"} & loaded
@@ -94,6 +96,8 @@ def test_help_imports_no_module_of_a_command(tmp_path):
         "testbed.cli.exit_codes", "testbed.cli.main", "testbed.cli.output",
     }  # fmt: skip
     assert not loaded & {"rich.markdown", "rich.traceback", "pygments", "markdown_it"}
+    assert not loaded & {"jsbsim", "numba", "rerun", "numpy", "scipy", "yaml", "mcap", "pydantic"}
+    assert not any(name.startswith("pymavlink") for name in loaded)
 
 
 def sections(of=Section):
