@@ -17,7 +17,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from testbed.pool.scenario_snapshot import read_inputs, snapshot
+from testbed.plan.scenario_files import digests as file_digests
+from testbed.plan.scenario_files import referenced_files, referents
+from testbed.pool.scenario_snapshot import file_values, snapshot
 from testbed.scenario import Scenario, find_tuning, load_scenario
 from testbed.scenario.yaml_io import plain, read
 from testbed.studies.plan import Plan, load_study
@@ -87,8 +89,13 @@ def snapshot_of(scenario: Scenario) -> Mapping[str, Any]:
 
 def files_of(scenario: Scenario) -> tuple[Mapping[str, str], Mapping[str, Any]]:
     """Return digests of all files that a scenario uses, and the values of those with values."""
-    inputs = read_inputs(scenario, ROOT)
-    return inputs.files, inputs.values
+    return _content(tuple(sorted(referenced_files(referents(scenario)).items())))
+
+
+@cache
+def _content(named: tuple[tuple[str, Path], ...]) -> tuple[Mapping[str, str], Mapping[str, Any]]:
+    files = dict(named)
+    return file_digests(files), file_values(files)
 
 
 def pins(packages: Iterable[str]) -> dict[str, str]:

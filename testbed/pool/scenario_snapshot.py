@@ -45,7 +45,7 @@ def read_inputs(scenario: Scenario, folder: Path) -> Inputs:
         scenario=snapshot(scenario, folder),
         non_default=frozenset(_leaves(snapshot(scenario, folder, defaults=False))),
         files=digests(files),
-        values=_file_values(files),
+        values=file_values(files),
     )
 
 
@@ -92,7 +92,7 @@ def _with_relative_paths(value: Any, folder: Path) -> Any:  # noqa: ANN401 - nes
     return value
 
 
-def _file_values(named: Mapping[str, Path]) -> dict[str, Any]:
+def file_values(named: Mapping[str, Path]) -> dict[str, Any]:
     """Return the values in the YAML and .param files that can be read, by file."""
     values: dict[str, Any] = {}
     for name, file in named.items():

@@ -34,7 +34,7 @@ def stale(monkeypatch):
 def forget(stale):
     """Let inputs be read again."""
     inputs = sys.modules["inputs"]
-    for cached in (stale._digests, inputs._loaded, inputs._study_digests):
+    for cached in (stale._digests, inputs._content, inputs._loaded, inputs._study_digests):
         cached.cache_clear()
 
 
