@@ -1,13 +1,12 @@
 """Of several processes one compiles the kernels; the others wait, and print that once."""
 
 import os
-import subprocess
-import sys
 import threading
 import time
 
 import pytest
 from commands import ROOT, call_command
+from fresh import run_fresh
 from waiting import TIMEOUT_S, until
 from worker_tasks import run_task
 
@@ -16,19 +15,23 @@ from testbed.pool.flight_pool import FlightPool
 from testbed.pool.flight_task import FlightTask
 from testbed.runs.stop_request import RunStopped
 
-# Prepares an entry, and prints whether it was compiled and what the progress was.
+# In one process or two of them, prepares an entry, and prints whether it was compiled and what the
+# progress was.
 PREPARE = """
-import sys, time
+import os, time
 from functools import partial
 from testbed.core.compile import compiling, prepare
 from slow_kernel import slow
 
+begin, other = time.time() + 0.2, os.fork() if {two} else 0
 seen, compiled = [], []
 with compiling(lambda: compiled.append(1)):
-    while time.time() < float(sys.argv[1]):
+    while time.time() < begin:
         time.sleep(0.001)
     prepare([(slow, (1.0,))], lambda done, total: seen.append((done, total)))
-print(len(compiled), seen)
+print(len(compiled), seen, flush=True)
+if other:
+    os.waitpid(other, 0)
 """
 KERNEL = "from testbed.core.compile import entry\n\n@entry\ndef slow(x):\n" + "".join(
     f"    x += (x + {k}.0) ** 0.5 if x > {k}.0 else x ** {k}\n" for k in range(40)
@@ -40,20 +43,17 @@ def test_of_two_processes_one_compiles(tmp_path):
     (tmp_path / "slow_kernel.py").write_text(KERNEL + "    return x\n")
     (tmp_path / "cache").mkdir()
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
-    environment["PYTHONPATH"] = os.pathsep.join((str(ROOT), str(tmp_path)))
-    command = [sys.executable, "-c", PREPARE, str(time.time() + 3.0)]
 
-    def prepare(count):
-        running = [
-            subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
-            for _ in range(count)
-        ]
-        return sorted(each.communicate(timeout=TIMEOUT_S)[0].strip() for each in running)
+    def prepare(*, two):
+        options = {"folder": tmp_path, "paths": [ROOT, tmp_path], "env": environment}
+        code, output, errors = run_fresh(PREPARE.format(two=two), **options)
+        assert code == 0, errors
+        return sorted(output.splitlines())
 
-    first, second = prepare(2)
+    first, second = prepare(two=True)
     assert first[0] == "0" and second == "1 [(0, 1), (1, 1)]"
     assert first in ("0 [(0, 1), (1, 1)]", "0 []")
-    assert prepare(1) == ["0 []"]
+    assert prepare(two=False) == ["0 []"]
 
 
 def test_compiling_is_seen_by_others_until_it_ends(tmp_path):

@@ -45,12 +45,14 @@ OLD = "old content\n"
 @contextlib.contextmanager
 def full_disk(free=0):
     """Fail every write beyond this size of a file, as a full disk does."""
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    limits, unwritten = resource.getrlimit(resource.RLIMIT_FSIZE), sys.dont_write_bytecode
+    sys.dont_write_bytecode = True  # Python would keep a part of a module's, and read it later
     resource.setrlimit(resource.RLIMIT_FSIZE, (free, limits[1]))
     try:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        sys.dont_write_bytecode = unwritten
 
 
 @contextlib.contextmanager
