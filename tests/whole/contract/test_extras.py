@@ -1,8 +1,6 @@
 """An installation without the extras: it flies, records and checks, and names what is missing."""
 
 import re
-import subprocess
-import sys
 import tomllib
 from pathlib import Path
 
@@ -10,9 +8,9 @@ import golden_scenarios
 import pytest
 from commands import SEVERAL, environment
 from flight_logs import recorded
+from fresh import run_fresh
 from places import ROOT
 from px4_logs import write_ulog
-from waiting import TIMEOUT_S
 
 import testbed
 from testbed.core.errors import DISTRIBUTION, MissingExtraError, needs_extra
@@ -66,20 +64,17 @@ def without_extras(tmp_path_factory):
     work.mkdir()
     golden_scenarios.write(work, "own")
     write_ulog(work / "flight.ulg", recorded()[:50])
-    done = subprocess.run(
-        [sys.executable, "-c", SEVERAL, *WORKS, *NEEDS],
-        cwd=work,
-        env=environment(120, folder),
-        capture_output=True,
-        text=True,
-        timeout=TIMEOUT_S,
-    )
-    parts = re.split(r"^exit (\d+) (.*)\n", done.stderr, flags=re.M)
+    site = (folder / "sitecustomize.py").read_text()
+    code = f"{site}\nsys.argv[1:] = {[*WORKS, *NEEDS]}\n{SEVERAL}"
+    # variables of processes that it starts
+    options = {"folder": work, "paths": [ROOT, folder], "env": environment(120, folder)}
+    _, _, errors = run_fresh(code, **options)
+    parts = re.split(r"^exit (\d+) (.*)\n", errors, flags=re.M)
     endings = {
         words: (int(code), text)
         for text, code, words in zip(parts[::3], parts[1::3], parts[2::3], strict=False)
     }
-    assert list(endings) == [*WORKS, *NEEDS], done.stderr
+    assert list(endings) == [*WORKS, *NEEDS], errors
     return work, endings
 
 
