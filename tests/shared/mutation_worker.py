@@ -139,6 +139,7 @@ def main(name, folder):
     files = kind.put(home)
     for place in (here, home, folder):
         (place / EVIL).write_text("class Law: pass\n")
+    sys.dont_write_bytecode = True  # of modules that are loaded when a file is tried
     guard = AuditGuard(folder)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
