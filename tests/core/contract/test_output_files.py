@@ -5,7 +5,6 @@ import fcntl
 import json
 import os
 import random
-import resource
 import stat
 import subprocess
 import sys
@@ -18,6 +17,7 @@ import pytest
 import views_flight
 from commands import call_command, environment, refuse_all
 from forked import Forked
+from full_disk import full_disk
 from waiting import TIMEOUT_S
 
 from testbed.cli import air
@@ -40,19 +40,6 @@ from testbed.views import RrdFile, replay
 BAD_INPUT = 2
 TRIM = ("trim", "rascal110", "--airspeed", "22")
 OLD = "old content\n"
-
-
-@contextlib.contextmanager
-def full_disk(free=0):
-    """Fail every write beyond this size of a file, as a full disk does."""
-    limits, unwritten = resource.getrlimit(resource.RLIMIT_FSIZE), sys.dont_write_bytecode
-    sys.dont_write_bytecode = True  # Python would keep a part of a module's, and read it later
-    resource.setrlimit(resource.RLIMIT_FSIZE, (free, limits[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-        sys.dont_write_bytecode = unwritten
 
 
 @contextlib.contextmanager

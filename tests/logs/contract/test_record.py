@@ -3,9 +3,7 @@
 import io
 import json
 import os
-import resource
 import shutil
-import signal
 import struct
 import time
 import zlib
@@ -15,6 +13,7 @@ import mcap.reader
 import numpy as np
 import pytest
 import zstandard
+from full_disk import full_disk
 from mcap import records
 from mcap.stream_reader import StreamReader
 from record_flight import RECORDS, assert_same_sample, decoded, event, record, run_info, run_samples
@@ -481,17 +480,11 @@ def test_full_disk_raises_and_leaves_readable_log(tmp_path):
     path = tmp_path / "run.mcap"
     log = McapRecorder(path)
     log.begin(run_info())
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    try:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, limits[1]))
+    with full_disk(1_000_000):
         with pytest.raises(LogError, match=r"run\.mcap: cannot write the log"):
             for sample in run_samples(2000):
                 log.observe(sample)
         log.end({}, ())  # the run ends every observer, also one that has failed
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-        signal.signal(signal.SIGXFSZ, ignored)
     back = read_log(path)
     assert not back.finished
     assert back.lost_bytes == 0

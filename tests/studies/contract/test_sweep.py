@@ -4,7 +4,6 @@ import io
 import json
 import os
 import re
-import resource
 import shlex
 import signal
 import subprocess
@@ -14,6 +13,7 @@ import time
 import pytest
 import small_study
 from commands import call_command, environment, refuse_all
+from full_disk import full_disk
 from rich.console import Console
 from snapshot import check_snapshot
 from waiting import TIMEOUT_S, until
@@ -422,14 +422,10 @@ def test_sweep_bad_input_exits_2_and_writes_nothing(tmp_path):
 def test_sweep_on_a_full_disk_is_one_error_line(folder, workers, tmp_path, share):
     """The disk is full when the journal is created, while it grows, or at the last write."""
     small_study.write(tmp_path)
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     free = int(share * (folder / "whole.parquet").stat().st_size)
     arguments = ("sweep", "small.yaml", "--out", "full")
-    resource.setrlimit(resource.RLIMIT_FSIZE, (free, limits[1]))
-    try:
+    with full_disk(free):
         done = call_command(*arguments, "--quiet", cwd=tmp_path, code=BAD_INPUT, columns=200)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert done.stderr.startswith("error: full/study.") and done.stderr.count("\n") == 1
     assert "cannot be written: File too large" in done.stderr
     left = {each.name for each in (tmp_path / "full").iterdir()}

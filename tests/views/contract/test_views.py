@@ -6,7 +6,6 @@ import dataclasses
 import functools
 import logging
 import os
-import resource
 import signal
 import socket
 import subprocess
@@ -16,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import views_flight
+from full_disk import full_disk
 from places import ROOT
 from process_time import ProcessTime
 from waiting import TIMEOUT_S, until
@@ -383,20 +383,15 @@ def test_screenshot_on_a_full_disk_keeps_old_file(tmp_path, monkeypatch):
 
     @contextlib.contextmanager
     def then_full(*arguments, **options):
-        with started(*arguments, **options) as port:
-            resource.setrlimit(resource.RLIMIT_FSIZE, (100, before[1]))  # of this process only
+        with started(*arguments, **options) as port, full_disk(100):
             yield port
 
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
     monkeypatch.setattr(recorded_runs, "headless_viewer", then_full)
     monkeypatch.setattr(recorded_runs, "GREETING_S", 0.0)
     path = tmp_path / "flight.png"
     path.write_text("old")
-    try:
-        with pytest.raises(OSError, match="File too large"):
-            screenshot(path, 1.0, views_flight.log(2, 2.0), size=(320, 200))
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    with pytest.raises(OSError, match="File too large"):
+        screenshot(path, 1.0, views_flight.log(2, 2.0), size=(320, 200))
     assert path.read_text() == "old" and list(tmp_path.iterdir()) == [path]
 
 
