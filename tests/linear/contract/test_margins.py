@@ -413,16 +413,24 @@ def test_margins_that_are_not_predicted_are_no_numbers():
     assert rows == [["roll", MISSING, "9.50", MISSING, "0.598"]]
 
 
-def test_margins_command_predicts(tmp_path):
-    """A table, a figure of the poles, and all poles as JSON; a chain bears every message delay."""
+@pytest.fixture(scope="module")
+def predicted(tmp_path_factory):
+    """Return what `testbed margins` prints of a chain, and the folder of its files."""
+    folder = tmp_path_factory.mktemp("predicted")
     words = ("margins", "simulation-2", "--bank", "0", "--jobs", "1")
     with in_this_process():
         done = call_command(
-            *words, "--json", "m.json", "--plot", "p.svg", cwd=tmp_path, code=0, columns=80
+            *words, "--json", "m.json", "--plot", "p.svg", cwd=folder, code=0, columns=80
         )
-    assert "stable at every message delay" in done.stdout
-    assert (tmp_path / "p.svg").stat().st_size > 1000
-    [straight] = json.loads((tmp_path / "m.json").read_text())["predicted"]
+    return done.stdout, folder
+
+
+def test_margins_command_predicts(predicted):
+    """A table, a figure of the poles, and all poles as JSON; a chain bears every message delay."""
+    printed, folder = predicted
+    assert "stable at every message delay" in printed
+    assert (folder / "p.svg").stat().st_size > 1000
+    [straight] = json.loads((folder / "m.json").read_text())["predicted"]
     assert straight["message_delays"] == []
     for follower in straight["followers"]:
         oscillations = [mode for mode in follower["modes"] if mode["frequency_hz"] > 0.0]

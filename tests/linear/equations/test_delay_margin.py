@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cases import ALL
 from scipy.signal import dlsim
 
 import testbed
@@ -37,7 +38,16 @@ def maps():
 
 
 @pytest.fixture(scope="module")
-def margin(maps):
+def frequencies():
+    """As many as users have; else fewer, with which counts are sure, too: see below."""
+    with pytest.MonkeyPatch.context() as patch:
+        if not ALL:
+            patch.setattr(delay_margin, "_FREQUENCIES", 300)
+        yield
+
+
+@pytest.fixture(scope="module")
+def margin(maps, frequencies):
     [found] = delay_margins(maps)
     return found
 
@@ -60,6 +70,7 @@ def test_delay_margin_is_that_of_flights(margin):
     assert rate_of(1.05 * margin.delay_s) > 0.005
 
 
+@pytest.mark.usefixtures("frequencies")
 def test_delay_margin_needs_the_extrapolation(maps, margin, monkeypatch):
     """From the time of receipt the loop bears every delay that is tried."""
     monkeypatch.setattr(delay_margin, "MAX_DELAY_S", 1.2 * margin.delay_s)
@@ -95,7 +106,7 @@ def test_counts_are_sure_with_few_frequencies(maps, monkeypatch):
         monkeypatch.setattr(delay_margin, "_FREQUENCIES", frequencies)
         monkeypatch.setattr(delay_margin, "_LARGEST_TURN", largest_turn)
         loop = delay_margin._MessageLoop(maps, [0, 1, 2])
-        return [loop.count_unstable(periods) for periods in range(0, 50, 4)]
+        return [loop.count_unstable(periods) for periods in range(0, 50, 4 if ALL else 12)]
 
     sure = counts(3000, 0.5)
     assert sure[0] == 0 and sure[-1] >= 2

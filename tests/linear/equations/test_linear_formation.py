@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cases import some
 from scipy.signal import dlsim
 
 from testbed.linear.held_flight import COMMANDS, HeldFlight
@@ -131,8 +132,10 @@ def test_average_has_the_poles_of_the_product(turn):
         assert np.abs(exact - pole).min() < 0.01 * abs(pole)
 
 
-@pytest.mark.parametrize("command", range(3))
-@pytest.mark.parametrize("what", ["gain", "latency_s"])
+MARGINS = [(command, what) for what in ("gain", "latency_s") for command in range(3)]
+
+
+@pytest.mark.parametrize(("command", "what"), some(MARGINS, 3))
 def test_margin_is_that_of_flights(turn, command, what):
     """A follower's oscillation decays below the margin of a command, and grows above it."""
     margin = getattr(margins_of_command(turn.formation, 0, command), what)

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cases import ALL
 
 from testbed.linear import follower_state, period_map
 from testbed.linear.flown_response import fly_response
@@ -89,7 +90,7 @@ def test_margins_with_phases_are_those_of_flights(both, follower, what):
     Far above the margin both flights, with the kick and without it, end in the same limit cycle.
     """
     name = f"uav{follower + 1}"
-    for command in (1, 2):
+    for command in (1, 2) if ALL else (1 + (what == "gain"),):
         loop = both.formation.loop(f"{name}.{('pitch', 'roll', 'throttle')[command]}")
         margin = getattr(loop.margins(), what)
         assert not both.grows(follower, command, **{what: 0.98 * margin})

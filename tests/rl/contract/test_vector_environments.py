@@ -162,17 +162,21 @@ def test_wrong_arguments_of_vectors_are_named(options, text):
     assert text in str(caught.value)
 
 
-@pytest.mark.parametrize("wrong", [np.zeros((2, 3)), np.zeros(3), "up", np.full((3, 3), np.nan)])
-def test_refused_actions_keep_all_episodes(wrong):
+WRONG_ACTIONS = (np.zeros((2, 3)), np.zeros(3), "up", np.full((3, 3), np.nan))
+
+
+def test_refused_actions_keep_all_episodes():
     envs, twin = make(), make()
     for each in (envs, twin):
         with pytest.raises(gymnasium.error.ResetNeeded):
             each.step(np.zeros((3, 3)))
         each.reset(seed=1)
-    with pytest.raises(InputError, match="actions: "):
-        envs.step(wrong)
-    for step in range(3):
-        np.testing.assert_array_equal(*(each.step(actions(3, step))[0] for each in (envs, twin)))
+    for step, wrong in enumerate(WRONG_ACTIONS):
+        with pytest.raises(InputError, match="actions: "):
+            envs.step(wrong)
+        np.testing.assert_array_equal(
+            *(each.step(actions(3, step))[0] for each in (envs, twin)), err_msg=str(wrong)
+        )
 
 
 def test_a_mask_begins_some_episodes_only():
@@ -203,25 +207,27 @@ def test_a_mask_begins_an_ended_episode():
     assert envs.step(np.zeros((3, 3)))[-1]["time_s"] == pytest.approx([0.22, 0.02, 0.02])
 
 
-@pytest.mark.parametrize(
-    ("options", "text"),
-    [
-        ({"reset_masks": np.ones(3, bool)}, "write reset_mask"),
-        ({"reset_mask": np.ones(2, bool)}, "write 3 times true or false"),
-        ({"reset_mask": np.zeros(3, bool)}, "one of them true"),
-        ({"reset_mask": [1, 0, 0]}, "write 3 times true or false"),
-        ("reset_mask", "options: is 'reset_mask'"),
-    ],
+WRONG_OPTIONS = (
+    ({"reset_masks": np.ones(3, bool)}, "write reset_mask"),
+    ({"reset_mask": np.ones(2, bool)}, "write 3 times true or false"),
+    ({"reset_mask": np.zeros(3, bool)}, "one of them true"),
+    ({"reset_mask": [1, 0, 0]}, "write 3 times true or false"),
+    ("reset_mask", "options: is 'reset_mask'"),
 )
-def test_wrong_options_keep_all_episodes(options, text):
-    envs, twin = make(), make()
+
+
+def test_wrong_options_keep_all_episodes():
+    envs, twin = make(duration_s=2.0), make(duration_s=2.0)
     for each in (envs, twin):
         each.reset(seed=1)
         each.step(actions(3, 0))
-    with pytest.raises(InputError) as caught:
-        envs.reset(seed=4, options=options)
-    assert text in str(caught.value)
-    np.testing.assert_array_equal(*(each.step(actions(3, 1))[0] for each in (envs, twin)))
+    for step, (options, text) in enumerate(WRONG_OPTIONS, 1):
+        with pytest.raises(InputError) as caught:
+            envs.reset(seed=4, options=options)
+        assert text in str(caught.value)
+        np.testing.assert_array_equal(
+            *(each.step(actions(3, step))[0] for each in (envs, twin)), err_msg=str(options)
+        )
 
 
 def test_a_mask_needs_episodes_and_whole_flights():

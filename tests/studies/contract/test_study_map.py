@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import small_study
+from cases import ALL
 from commands import call_command
 from small_study import use
 
@@ -31,6 +32,9 @@ vary:
   network.loss: {from: 0, to: 0.8, count: 17}
   network.delay_s: {from: 0, to: 0.4, count: 9}
 """
+RATES = (
+    "set: {rates: {physics_hz: 50, autopilot_hz: 50, control_hz: 25, broadcast_hz: 25, log_hz: 25}}"
+)
 CASES = """cases:
   near: {}
   far: {"fleet.uav1.start_m": [-90, 30, 0]}
@@ -50,16 +54,36 @@ def fly(task):
     return small_study.made_result(task, number, outcome, depends_on_seed=loss > 0.0)
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """A folder with the map, and its result with one flight at a time."""
-    folder = tmp_path_factory.mktemp("map")
-    small_study.write(folder, STUDY, "map")
+TOLD, SEEN = [], []  # by the sweep of the map
+
+
+def fly_whole(folder, text, **options):
+    """Write a map to a folder, and its result with one flight at a time."""
+    small_study.write(folder, text, "map")
     with pytest.MonkeyPatch.context() as patch:
         use(patch, small_study.InThisProcess(fly=fly))
         patch.chdir(folder)
-        sweep("map.yaml", "whole.parquet")
+        sweep("map.yaml", "whole.parquet", **options)
     return folder
+
+
+@pytest.fixture(autouse=not ALL)
+def few_checked(monkeypatch):
+    """Read few scenarios before a map is flown: the tests of plans are elsewhere."""
+    monkeypatch.setattr("testbed.studies.plan_check.MAX_CHECKED", 20)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with the map, and its result with one flight at a time."""
+    told = {"report": TOLD.append, "progress": lambda *numbers: SEEN.append(numbers)}
+    return fly_whole(tmp_path_factory.mktemp("map"), STUDY, **told)
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    """A folder with a smaller map, and its result with one flight at a time."""
+    return fly_whole(tmp_path_factory.mktemp("small"), STUDY if ALL else SMALL)
 
 
 def content(path):
@@ -104,30 +128,21 @@ def test_map_of_each_case_is_refined_by_itself(tmp_path, monkeypatch):
     assert set(points[near]) != set(points[~near])
 
 
-def test_map_rounds_are_told(folder, tmp_path, monkeypatch):
-    use(monkeypatch, small_study.InThisProcess(fly=fly))
-    monkeypatch.chdir(folder)
-    lines, seen = [], []
-    sweep(
-        "map.yaml",
-        tmp_path / "a.parquet",
-        report=lines.append,
-        progress=lambda *numbers: seen.append(numbers),
-    )
-    assert lines[0].startswith("at most 153 runs: 153 points × 1 seed; ")
-    rounds = [line for line in lines if line.startswith("round ")]
+def test_map_rounds_are_told(folder):
+    assert TOLD[0].startswith("at most 153 runs: 153 points × 1 seed; ")
+    rounds = [line for line in TOLD if line.startswith("round ")]
     assert rounds[0] == "round 1: 15 points, with which the map has 15 of 153"
-    rows = len(read_table(tmp_path / "a.parquet").columns["run"])
+    rows = len(read_table(folder / "whole.parquet").columns["run"])
     assert len(rounds) >= 3 and rounds[-1].endswith(f"the map has {rows} of 153")
-    assert seen[0] == (0, 15) and seen[-1] == (rows, rows)
-    assert all(done <= total for done, total in seen)
+    assert SEEN[0] == (0, 15) and SEEN[-1] == (rows, rows)
+    assert all(done <= total for done, total in SEEN)
 
 
-def test_map_depends_on_no_order_of_flights(folder, tmp_path, monkeypatch):
+def test_map_depends_on_no_order_of_flights(small, tmp_path, monkeypatch):
     use(monkeypatch, small_study.Backwards(size=7, fly=fly))
-    monkeypatch.chdir(folder)
+    monkeypatch.chdir(small)
     sweep("map.yaml", tmp_path / "a.parquet")
-    assert content(tmp_path / "a.parquet") == content(folder / "whole.parquet")
+    assert content(tmp_path / "a.parquet") == content(small / "whole.parquet")
 
 
 def interrupt_often(out, monkeypatch, after):
@@ -154,10 +169,10 @@ def interrupt_often(out, monkeypatch, after):
     raise AssertionError("does not end")
 
 
-def test_map_interrupted_is_resumed_to_the_bit(folder, tmp_path, monkeypatch):
-    monkeypatch.chdir(folder)
-    assert interrupt_often(tmp_path / "a.parquet", monkeypatch, 40) >= 1
-    assert content(tmp_path / "a.parquet") == content(folder / "whole.parquet")
+def test_map_interrupted_is_resumed_to_the_bit(small, tmp_path, monkeypatch):
+    monkeypatch.chdir(small)
+    assert interrupt_often(tmp_path / "a.parquet", monkeypatch, 40 if ALL else 12) >= 1
+    assert content(tmp_path / "a.parquet") == content(small / "whole.parquet")
 
 
 def test_map_with_until_has_both_rules(tmp_path, monkeypatch):
@@ -183,6 +198,8 @@ def test_map_of_flights_is_the_same_in_any_order(tmp_path, monkeypatch):
     until = "seeds: 24\n  until: {metric: windows.approach.mean_rms_m, half_width: 0.05}\n  refine"
     text = STUDY.replace("count: 17", "count: 3").replace("count: 9", "count: 3")
     text = text.replace("levels: 2", "levels: 1").replace("refine", until)
+    if not ALL:  # slower rates
+        text = text.replace("  design:", f"  {RATES}\n  design:")
     study = small_study.write(
         tmp_path, text.replace("from: 0, to: 0.8", "from: 0.3, to: 0.7"), "map"
     )
@@ -204,7 +221,7 @@ def test_report_of_a_map_is_made(folder):
 
 def test_sweep_of_a_map_prints_its_rounds(tmp_path, monkeypatch):
     use(monkeypatch, small_study.InThisProcess(fly=fly))
-    small_study.write(tmp_path, STUDY, "map")
+    small_study.write(tmp_path, SMALL, "map")
     done = call_command("sweep", "map.yaml", cwd=tmp_path, code=1, columns=80)
     assert "round 2: " in done.stderr and "formation lost" in done.stdout
 
