@@ -253,7 +253,7 @@ PARTS = (
     Part(
         "margins of laws of users beside flights",
         "all commands of two laws, straight and at 30°",
-        "TESTBED_LAW_MARGINS=1 pytest tests/linear/equations/test_user_laws.py",
+        "TESTBED_CASES=all TESTBED_LAW_MARGINS=1 pytest tests/linear/equations/test_user_laws.py",
     ),
     Part(
         "four stand-ins of ArduPlane; virtual autopilots against recordings of real ones",

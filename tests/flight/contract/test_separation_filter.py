@@ -1,5 +1,7 @@
 """`controller.safety` in flights: what it refuses, leaves alone, tells, and does for every law."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from commands import call_command
@@ -20,17 +22,15 @@ class Wrapped:
     def step(self, now, own, inbox, memory):
         return self.law.step(now, own, inbox, memory)
 '''
-KERNEL = '''"""The built-in law as a kernel of a user's."""
-
-import testbed
-from testbed.law import HBH23_MEMORY
-
-
-@testbed.kernel(memory=[("hbh23", HBH23_MEMORY)])
-def wrapped(now, own, inbox, memory, config):
-    return config.hbh23.step(now, own, inbox, memory.hbh23)
-'''
-LAWS = {"class": ("wrapped_class.py", "Wrapped", WRAPPED), "kernel": ("own.py", "wrapped", KERNEL)}
+EXAMPLES = Path(__file__).parents[3] / "examples"
+# the built-in law as a class and as a kernel, whose integral has a rate of zero
+LAWS = {
+    "class": ("controller.law={}/wrapped_class.py:Wrapped",),
+    "kernel": (
+        f"controller.law={EXAMPLES}/integral_kernel.py:integral_action",
+        "controller.options.rate_per_s=0",
+    ),
+}
 # they begin behind each other's slots
 CROSS = ("fleet.uav2.start_m=[-20, 8, -2]", "fleet.uav1.start_m=[-20, -8, 0]")
 STAMPS = "controller.extrapolate_from=timestamp"
@@ -117,10 +117,8 @@ def test_filter_acts_where_followers_cross(crossed, fly):
 
 @pytest.mark.parametrize("kind", LAWS)
 def test_laws_of_users_fly_behind_it_as_the_built_in(tmp_path, crossed, fly, kind):
-    file, name, text = LAWS[kind]
-    (tmp_path / file).write_text(text)
-    law = f"controller.law={tmp_path / file}:{name}"
-    flown = fly(*CROSS, law)
+    (tmp_path / "wrapped_class.py").write_text(WRAPPED)
+    flown = fly(*CROSS, *(each.format(tmp_path) for each in LAWS[kind]))
     for ours, theirs in zip(positions(crossed), positions(flown), strict=True):
         np.testing.assert_array_equal(ours, theirs)
 

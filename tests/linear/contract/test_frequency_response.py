@@ -4,12 +4,14 @@ import json
 
 import pytest
 from commands import call_command, refuse_all
+from slow_control import RATES
 from small_study import in_this_process
 
 
 def test_frequency_response_writes_json_and_figure(tmp_path):
     """Predicted only; the gain per hop is the amplitude over that of the follower ahead."""
     words = ("frequency-response", "simulation-3", "--plot", "figure.png", "--json", "out.json")
+    words += tuple(word for each in RATES for word in ("--set", each))
     with in_this_process():
         text = call_command(*words, "--jobs", "1", cwd=tmp_path, code=0, columns=120).stdout
     assert "leader-speed · slot-error" in text and "uav3" in text

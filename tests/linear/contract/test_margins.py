@@ -8,8 +8,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from cases import some
 from commands import call_command, refuse_all
 from rich.console import Console
+from slow_control import RATES
 from small_study import in_this_process
 
 import testbed
@@ -104,7 +106,7 @@ def test_gain_and_latency_move_nothing_alone(copies):
         assert np.degrees(np.abs(moved[..., :2]).max()) < 0.02
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("command", some(COMMANDS, 2))
 def test_flown_margins_are_those_predicted(turn, copies, command):
     """A kick decays at 0.97 times the predicted factor and latency, and grows at 1.03 times."""
     k = COMMANDS.index(command)
@@ -444,7 +446,8 @@ def test_margins_command_draws_a_loop(tmp_path, monkeypatch):
     monkeypatch.setattr(
         "testbed.views.matplotlib_backend.save_figure", lambda grid, *_: grids.append(grid)
     )
-    words = ("--bank", "0", "--jobs", "1", "--plot", "p.svg", "--figure", "root-locus")
+    words = ["--bank", "0", "--jobs", "1", "--plot", "p.svg", "--figure", "root-locus"]
+    words += [word for each in RATES for word in ("--set", each)]
     with in_this_process():
         call_command("margins", "simulation-2", *words, cwd=tmp_path, code=0, columns=80)
     [[panel]] = grids[0].rows
@@ -455,7 +458,7 @@ def test_margins_command_draws_a_loop(tmp_path, monkeypatch):
         next(line for line in panel.lines if line.label == name)
         for name in ("factor 0", "factor 1")
     )
-    modes = testbed.linearise("simulation-2").coupled_with("uav1").modes()
+    modes = testbed.linearise("simulation-2", RATES).coupled_with("uav1").modes()
     least = next(each for each in modes if each.frequency_hz > 0.1 and each.motion == "bank")
     near = np.abs(closed.x + 2j * np.pi * closed.y - least.pole)
     assert np.nanmin(near) < 1e-3

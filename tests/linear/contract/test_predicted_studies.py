@@ -18,6 +18,7 @@ study:
   name: predicted
   scenario: simulation-3
   predict: {margins_at_deg: 0}
+  set: {rates: {control_hz: 10, broadcast_hz: 10}}
   metrics: [margins.damping]
 vary: {formation.speed_pole_per_s: [0.64, 9]}
 """

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 from commands import call_command
+from slow_control import RATES
 from small_study import in_this_process
 from user_laws import FILTERED
 
@@ -76,7 +77,18 @@ def test_wrapped_built_in_law_has_its_margins(tmp_path):
         ("simulation-3", ()),
         (EXAMPLES / "integral-kernel.yaml", ("--set", "controller.options.rate_per_s=0")),
     ):
-        words = ("margins", scenario, "--bank", "0", "--jobs", "1", "--json", "m.json", *more)
+        words = (
+            "margins",
+            scenario,
+            "--bank",
+            "0",
+            "--jobs",
+            "1",
+            "--json",
+            "m.json",
+            *more,
+            *RATES,
+        )
         with in_this_process():
             call_command(*words, cwd=tmp_path, code=0, columns=80)
         [straight] = json.loads((tmp_path / "m.json").read_text("utf-8"))["predicted"]

@@ -1,6 +1,7 @@
 """Margins with other gains, of one steady flight."""
 
 import pytest
+from slow_control import RATES
 
 import testbed
 from testbed.core.errors import InputError
@@ -11,7 +12,7 @@ GAINS = ("controller.gains.course.p=5", "formation.k=2")
 @pytest.fixture(scope="module")
 def scan():
     """Return a scan of a steady turn."""
-    return testbed.GainScan("simulation-3", bank_deg=30.0)
+    return testbed.GainScan("simulation-3", RATES, bank_deg=30.0)
 
 
 def numbers(margins):
@@ -26,7 +27,7 @@ def numbers(margins):
 
 def test_scan_has_the_margins_of_a_flight(scan):
     """With the gains of the flight, and with others those of a flight with them."""
-    own = testbed.linearise("simulation-3", GAINS, bank_deg=30.0)
+    own = testbed.linearise("simulation-3", (*RATES, *GAINS), bank_deg=30.0)
     assert len(own.a) == len(scan.formation().a)
     flown = {
         name: {each: own.loop(f"{name}.{each}").margins() for each in ("roll", "throttle")}

@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cases import ALL
 
 from testbed.core.velocity_frame import velocity_frame
-from testbed.linear import straight_formation
+from testbed.linear import flown_response, straight_formation
 from testbed.linear.flown_response import fly_response
 from testbed.linear.linear_formation import received
 from testbed.linear.linear_system import transfer
@@ -47,7 +48,10 @@ def chain(scenario):
 def flown(request, scenario):
     """Return an input, its frequency, and the response of flights."""
     name, frequency = request.param
-    return name, frequency, fly_response(scenario, name, frequency).response
+    with pytest.MonkeyPatch.context() as patch:
+        if not ALL:  # the integral of the course settles for longer, but hardly moves here
+            patch.setattr(flown_response, "SETTLED_S", 75.0)
+        return name, frequency, fly_response(scenario, name, frequency).response
 
 
 def error_of(formation, flown):

@@ -1,11 +1,15 @@
 """The radio: what is received when on which link, what replaces what, what is counted."""
 
+import contextlib
+import io
 import os
 import subprocess
 import sys
+import warnings
 
 import numpy as np
 import pytest
+from cases import ALL
 from places import ROOT
 
 from testbed.core.records import Broadcast, Messages
@@ -324,18 +328,20 @@ def test_corrupted_copies_would_have_arrived(arithmetic):
 
 def test_debug_mode_gives_the_same_messages():
     """Kernels as Python: the same numbers, to rounding, and no warning of an overflow."""
-    sums = [
-        subprocess.run(
-            [sys.executable, "-W", "error", "-c", EXCHANGE],
-            env={**os.environ, "NUMBA_DISABLE_JIT": debug},
-            cwd=ROOT,
-            capture_output=True,
-            check=True,
-            text=True,
-        ).stdout.split()
-        for debug in ("0", "1")
-    ]
-    compiled, plain = (list(map(float, each)) for each in sums)
+    program = f"rounds = {100 if ALL else 30}\n{EXCHANGE}"
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed), warnings.catch_warnings(action="error"):
+        exec(program, {})
+    debug = subprocess.run(
+        [sys.executable, "-W", "error", "-c", program],
+        env={**os.environ, "NUMBA_DISABLE_JIT": "1"},
+        cwd=ROOT,
+        capture_output=True,
+        check=True,
+        text=True,
+    )
+    texts = printed.getvalue(), debug.stdout
+    compiled, plain = (list(map(float, each.split())) for each in texts)
     assert compiled == pytest.approx(plain, rel=1e-12)
 
 
@@ -361,7 +367,7 @@ for arithmetic, encoding in (("exact", None), ("netem", FollowTarget(NedOrigin()
     links = resolve_links(("leader", "uav1", "uav2"), network)
     radio = Radio(make_channel(links, 1), None, encoding)
     rng = np.random.default_rng(3)
-    for k in range(100):
+    for k in range(rounds):
         vectors = rng.normal(0.0, 0.3, (5, 3, 3))
         radio.send(np.full(3, 0.04 * k), Broadcast(np.full(3, 0.04 * k), *vectors), None)
         print(*(np.nansum(each) for each in radio.deliver(0.04 * k)))

@@ -1,12 +1,12 @@
 """`testbed air`: what its probes feel against closed forms, its files, its figure, its errors."""
 
-import functools
 import json
 import math
 import re
 import struct
 import subprocess
 import sys
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -15,6 +15,7 @@ from commands import ROOT, call_command, environment, refuse_all
 from snapshot import check_snapshot
 from typer.testing import CliRunner
 
+from testbed.atmosphere.turbulence_field import make_field
 from testbed.cli.main import app
 from testbed.core.errors import InputError
 from testbed.probes.air_probe import (
@@ -203,7 +204,7 @@ def test_folded_spectrum_is_that_of_samples():
 def recorded():
     """A function of a model: what two probes near each other record, once."""
 
-    @functools.cache
+    @cache
     def record(model):
         pair = {"course": 40.0, "separation": 10.0, "duration": 400.0 if ALL else 200.0}
         return record_probe(f"{MODEL}={model}", *WIND, **pair)
@@ -261,7 +262,7 @@ def test_table_has_the_statistics_of_the_arrays(tmp_path):
 
 
 @pytest.mark.parametrize("model", ["none", "coherent"])
-def test_table_fits_80_columns(model, tmp_path):
+def test_table_fits_80_columns(model, tmp_path, monkeypatch):
     words = ("air", "simulation-3", "--duration", "2", "--separation", "5", "--set")
     done = call_command(
         *words, f"{MODEL}={model}", "--json", "table.json", cwd=tmp_path, code=0, columns=80
@@ -269,6 +270,7 @@ def test_table_fits_80_columns(model, tmp_path):
     check_snapshot(f"air_{model}", done.stdout)
     assert max(map(len, done.stdout.splitlines())) <= 80
     assert json.loads((tmp_path / "table.json").read_text())["separation_m"] == 5.0
+    monkeypatch.setattr("testbed.plan.air.make_field", partial(make_field, path_m=1000.0))
     narrow = call_command(*words, f"{MODEL}={model}", cwd=tmp_path, code=0, columns=60)
     assert "…" not in narrow.stdout
 
@@ -311,6 +313,7 @@ def test_plot_of_two_probes_has_coherence(model, tmp_path, monkeypatch):
     monkeypatch.setattr(
         "testbed.views.matplotlib_backend.save_figure", lambda sheet, *_: sheets.append(sheet)
     )
+    monkeypatch.setattr("testbed.plan.air.make_field", partial(make_field, path_m=1000.0))
     words = ("--duration", 20, "--separation", 50, "--plot", tmp_path / "a.png")
     assert air(*words, sets=(f"{MODEL}={model}",)).exit_code == 0
     rows = sheets[0].rows

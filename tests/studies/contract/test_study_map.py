@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import small_study
-from cases import ALL
+from cases import ALL, in_full
 from commands import call_command
 from small_study import use
 
@@ -32,9 +32,6 @@ vary:
   network.loss: {from: 0, to: 0.8, count: 17}
   network.delay_s: {from: 0, to: 0.4, count: 9}
 """
-RATES = (
-    "set: {rates: {physics_hz: 50, autopilot_hz: 50, control_hz: 25, broadcast_hz: 25, log_hz: 25}}"
-)
 CASES = """cases:
   near: {}
   far: {"fleet.uav1.start_m": [-90, 30, 0]}
@@ -193,13 +190,12 @@ def test_map_with_until_has_both_rules(tmp_path, monkeypatch):
     assert content(tmp_path / "again.parquet") == content(tmp_path / "whole.parquet")
 
 
+@in_full  # as made-up flights above
 def test_map_of_flights_is_the_same_in_any_order(tmp_path, monkeypatch):
     """Flights of the model until each mean is known; `test_sweep` has those of processes."""
     until = "seeds: 24\n  until: {metric: windows.approach.mean_rms_m, half_width: 0.05}\n  refine"
     text = STUDY.replace("count: 17", "count: 3").replace("count: 9", "count: 3")
     text = text.replace("levels: 2", "levels: 1").replace("refine", until)
-    if not ALL:  # slower rates
-        text = text.replace("  design:", f"  {RATES}\n  design:")
     study = small_study.write(
         tmp_path, text.replace("from: 0, to: 0.8", "from: 0.3, to: 0.7"), "map"
     )

@@ -12,6 +12,7 @@ import time
 
 import pytest
 import small_study
+from cases import ALL
 from commands import call_command, environment, refuse_all
 from full_disk import full_disk
 from rich.console import Console
@@ -90,10 +91,12 @@ def test_sweep_command_of_a_row_repeats_its_numbers(folder, tmp_path):
 
 
 def test_sweep_processes_give_the_same_file(folder, tmp_path, monkeypatch):
+    """Flights that end in another order are those of `test_study_map`."""
     monkeypatch.chdir(folder)
     seen = []
+    jobs = 2 if ALL else 1
     result = sweep(
-        "small.yaml", tmp_path / "new", jobs=2, progress=lambda *numbers: seen.append(numbers)
+        "small.yaml", tmp_path / "new", jobs=jobs, progress=lambda *numbers: seen.append(numbers)
     )
     assert same(folder, result.path)
     assert result.new_runs == small_study.RUNS and result.completed
@@ -267,6 +270,8 @@ def test_sweep_two_started_at_once_write_one_file(folder, workers, tmp_path, mon
     output = find_output("small", out, resume=False)
 
     def progress(done, total):
+        if done not in (0, 4, total):
+            return
         with pytest.raises(InputError, match=r"study\.journal: another sweep is writing it"):
             sweep("small.yaml", out)
         with pytest.raises(InputError, match=r"study\.journal: another sweep has just created it"):
