@@ -64,7 +64,7 @@ PARTS = (
     Part(
         "margins of a linear system, as printed",
         "two scenarios",
-        "TESTBED_MARGINS=1 pytest tests/linear/equations/test_linear_system.py",
+        "TESTBED_CASES=all TESTBED_MARGINS=1 pytest tests/linear/equations/test_linear_system.py",
     ),
     Part(
         "assessments of Simulation 3 beside fresh seeds, and weaknesses in their rows",

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from cases import some
+from cases import ALL, some
 from commands import call_command, refuse_all
 from rich.console import Console
 from slow_control import RATES
@@ -419,7 +419,8 @@ def test_margins_that_are_not_predicted_are_no_numbers():
 def predicted(tmp_path_factory):
     """Return what `testbed margins` prints of a chain, and the folder of its files."""
     folder = tmp_path_factory.mktemp("predicted")
-    words = ("margins", "simulation-2", "--bank", "0", "--jobs", "1")
+    words = ["margins", "simulation-2", "--bank", "0", "--jobs", "1"]
+    words += [word for each in RATES for word in ("--set", each)]
     with in_this_process():
         done = call_command(
             *words, "--json", "m.json", "--plot", "p.svg", cwd=folder, code=0, columns=80
@@ -446,6 +447,8 @@ def test_margins_command_draws_a_loop(tmp_path, monkeypatch):
     monkeypatch.setattr(
         "testbed.views.matplotlib_backend.save_figure", lambda grid, *_: grids.append(grid)
     )
+    if not ALL:  # of a coarser curve
+        monkeypatch.setattr("testbed.cli.margins.FACTORS", (0.02, 10.0, 30))
     words = ["--bank", "0", "--jobs", "1", "--plot", "p.svg", "--figure", "root-locus"]
     words += [word for each in RATES for word in ("--set", each)]
     with in_this_process():

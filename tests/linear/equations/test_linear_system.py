@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cases import in_full
 from commands import call_command
 from scipy.linalg import solve_discrete_lyapunov
 from scipy.signal import dfreqresp
@@ -328,6 +329,7 @@ def test_loop_is_small(formation):
     assert repr(loop) == f"LinearSystem({len(loop.states)} states, 1 inputs, 1 outputs, dt=0.04)"
 
 
+@in_full  # the command beside studies, and margins of a loop beside its closed loop, are tested
 @pytest.mark.parametrize("name", PRINTED)
 def test_margins_are_those_printed(name, formation, tmp_path):
     """By `testbed margins`, of all followers and commands."""
