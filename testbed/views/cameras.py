@@ -134,7 +134,7 @@ class FormationCameras:
         self._dt = 1.0 / scene.sample_rate_hz
         self._time: float | None = None  # s, of the last sample
         self._travelled = np.zeros(3)  # m NED, of the mean of all flying aircraft
-        self._filter = np.zeros((1, 3))
+        self._smooth = np.zeros(3)  # m, of the centre
         self._log_distance = np.full(len(lenses), -np.inf)
 
     def track(self, batch: ViewBatch) -> tuple[CameraTrack, ...]:
@@ -169,8 +169,6 @@ class FormationCameras:
 
     def _centre(self, batch: ViewBatch, flying: BoolArray, points: Array, heading: Array) -> Array:
         """Compute the smoothed middle of points (m, k, 3), (m, 3) m NED."""
-        from scipy.signal import lfilter  # half a second to load, and reports have no camera
-
         velocity = _mean(batch.velocity[:, : flying.shape[1]], flying)
         travelled = self._travelled + np.cumsum(velocity, axis=0) * self._dt
         ahead = rotate_to_heading(points, heading)
@@ -180,8 +178,11 @@ class FormationCameras:
         moving = rotate_to_heading(box[:, None], -heading)[:, 0] - travelled
         share = 1.0 - math.exp(-self._dt / CENTRE_S)
         if self._time is None:
-            self._filter = (1.0 - share) * moving[:1]
-        smooth, self._filter = lfilter([share], [1.0, share - 1.0], moving, axis=0, zi=self._filter)
+            self._smooth = moving[0]
+        smooth = np.empty_like(moving)
+        for k, each in enumerate(moving):
+            # a filter of SciPy has the same numbers, but to import it takes longer than all else
+            self._smooth = smooth[k] = (1.0 - share) * self._smooth + share * each
         self._travelled = travelled[-1]
         centre: Array = travelled + smooth
         return centre

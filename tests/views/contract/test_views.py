@@ -4,6 +4,8 @@ import contextlib
 import ctypes.util
 import dataclasses
 import functools
+import itertools
+import json
 import logging
 import os
 import signal
@@ -15,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import views_flight
+from cases import some
 from full_disk import full_disk
 from places import ROOT
 from process_time import ProcessTime
@@ -87,19 +90,59 @@ def warnings_of(caplog) -> list[str]:
     return [r.getMessage() for r in caplog.records if r.levelno >= logging.WARNING]
 
 
-def test_importing_views_does_not_import_rerun():
-    """Nor scipy.signal, which only cameras need; reports import views, too."""
-    code = (
-        "import sys, testbed.views as v; v.RerunView(v.LiveViewer()); v.RrdFile('x');"
-        "sys.exit(any(m.split('.')[0].startswith('rerun') for m in sys.modules)"
-        " or 'scipy.signal' in sys.modules)"
+COUNT = """
+stream = rerun.RecordingStream("x")
+memory = stream.memory_recording()
+stream.log("a", rerun.TextLog("b"))
+stream.flush()
+count = memory.num_msgs()
+"""
+FRESH = f"""
+import json, sys
+import testbed.views as v
+v.RerunView(v.LiveViewer())
+v.RrdFile("x")
+loaded = sorted({{name.partition(".")[0] for name in sys.modules}})
+import testbed.views.rerun_backend, rerun
+{COUNT}
+print(json.dumps([loaded, count]))
+"""
+
+
+@pytest.fixture(scope="module")
+def fresh():
+    """Packages that views load before one is opened, and messages of a recording.
+
+    By a process with settings of the user: RERUN=off disables all recordings of a process.
+    """
+    done = subprocess.run(
+        [sys.executable, "-c", FRESH],
+        cwd=HERE,
+        env=os.environ | {"RERUN": "off", "RERUN_LOG_TICK": "1"},
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=TIMEOUT_S,
     )
-    assert subprocess.run([sys.executable, "-c", code], cwd=HERE, check=False).returncode == 0
+    return json.loads(done.stdout)
+
+
+def test_importing_views_does_not_import_rerun(fresh):
+    """Nor SciPy, which takes longer than all else that the process of a live view loads."""
+    loaded, _ = fresh
+    assert "testbed" in loaded
+    assert not {each for each in loaded if each.startswith(("rerun", "scipy"))}
+
+
+def test_settings_of_the_user_empty_no_recording(fresh):
+    found = {"rerun": pytest.importorskip("rerun")}
+    exec(COUNT, found)
+    assert fresh[1] == found["count"] > 0
 
 
 def test_calls_per_batch_independent_of_samples():
     calls = []
-    for duration_s in (4.0, 30.0):
+    for duration_s in (4.0, 10.0):
         recording = RerunRecording(scene.scene_of(views_flight.info(4, duration_s)), live=True)
         recording.open(None)
         run = batch_of(views_flight.log(4, duration_s), ())
@@ -119,7 +162,7 @@ def test_view_sends_batch_when_full_or_period_over():
     view.begin(views_flight.info(2, 100.0))
     take = view._collector.take
     view._collector.take = lambda: sent.append(take()) or sent[-1]
-    samples = list(views_flight.samples(2, 60.0))
+    samples = [*itertools.islice(views_flight.samples(2, 60.0), BATCH_SAMPLES + 2)]
     view._next_send = np.inf
     for sample in samples[:BATCH_SAMPLES]:
         view.observe(sample)
@@ -193,10 +236,16 @@ def test_unwritable_rrd_file_raises_at_begin(tmp_path):
         RerunView(RrdFile(tmp_path / "file" / "run.rrd")).begin(views_flight.info(2, 1.0))
 
 
-def test_replay_to_rrd_has_every_sample(tmp_path):
-    path = tmp_path / "run.rrd"
+@pytest.fixture(scope="module")
+def whole_rows(tmp_path_factory):
+    """Rows of a minute of four aircraft in a file."""
+    path = tmp_path_factory.mktemp("whole") / "run.rrd"
     replay(RrdFile(path), views_flight.log(4, 60.0))
-    assert rows_of(path) > 1500 * (4 + 3 + 1 + 4)  # poses and four plots of every sample
+    return rows_of(path)
+
+
+def test_replay_to_rrd_has_every_sample(whole_rows):
+    assert whole_rows > 1500 * (4 + 3 + 1 + 4)  # poses and four plots of every sample
 
 
 def test_no_display_gives_one_warning(monkeypatch, caplog):
@@ -235,11 +284,9 @@ def test_viewer_not_starting_gives_one_warning(monkeypatch, caplog, tmp_path):
     assert len(warnings_of(caplog)) == 1 and "did not start" in warnings_of(caplog)[0]
 
 
-def test_live_viewer_gets_every_sample_ends_quickly(caplog, tmp_path):
-    seen, complete = tmp_path / "seen.rrd", tmp_path / "whole.rrd"
+def test_live_viewer_gets_every_sample_ends_quickly(caplog, tmp_path, whole_rows):
+    seen, rows = tmp_path / "seen.rrd", whole_rows
     info, samples = views_flight.info(4, 60.0), list(views_flight.samples(4, 60.0))
-    replay(RrdFile(complete), views_flight.log(4, 60.0))
-    rows = rows_of(complete)
     with saving_viewer(seen) as (program, port), ProcessTime() as given:
         view = RerunView(LiveViewer(port=port))
         fly(view, samples, info)
@@ -356,7 +403,7 @@ def flight_of(aircraft, folder):
 
 
 @needs_vulkan
-@pytest.mark.parametrize("aircraft", [1, 4, 20])
+@pytest.mark.parametrize("aircraft", some([1, 4, 20], 2))
 def test_picture_shows_every_aircraft(aircraft, tmp_path, monkeypatch):
     from PIL import Image
 
@@ -421,27 +468,3 @@ def test_screenshot_with_view_error_raises(tmp_path, monkeypatch):
     monkeypatch.setattr(recorded_runs, "GREETING_S", 0.0)
     with pytest.raises(ViewComplaintError, match="Formation"):
         screenshot(tmp_path / "flight.png", 1.0, views_flight.log(2, 2.0), size=(640, 400))
-
-
-def test_settings_of_the_user_empty_no_recording():
-    """RERUN=off disables all recordings of a process."""
-    script = (
-        "import testbed.views.rerun_backend, rerun\n"
-        "stream = rerun.RecordingStream('x')\n"
-        "memory = stream.memory_recording()\n"
-        "stream.log('a', rerun.TextLog('b'))\n"
-        "stream.flush()\n"
-        "print(memory.num_msgs())\n"
-    )
-    counts = [
-        subprocess.run(
-            [sys.executable, "-c", script],
-            env=os.environ | variables,
-            capture_output=True,
-            text=True,
-            check=True,
-            timeout=TIMEOUT_S,
-        ).stdout
-        for variables in ({}, {"RERUN": "off", "RERUN_LOG_TICK": "1"})
-    ]
-    assert counts[0] == counts[1] and int(counts[0]) > 0
