@@ -156,7 +156,7 @@ def _film(file: Path) -> None:
 def _views(file: Path) -> None:
     """Write the pictures of both views, of which one test makes each."""
     words = ("-m", "pytest", "-q", "-k", "picture", "tests/views/contract/test_views.py")
-    variables = {**os.environ, "TESTBED_PICTURES": str(file.parent)}
+    variables = {**os.environ, "TESTBED_PICTURES": str(file.parent), "TESTBED_CASES": "all"}
     subprocess.run([sys.executable, *words], cwd=ROOT, env=variables, check=True)
 
 

@@ -1,5 +1,7 @@
 """Figures: distinct colours, labels that do not cover each other, readable axes."""
 
+import contextlib
+import io
 import itertools
 import os
 import subprocess
@@ -197,36 +199,44 @@ svg.fonttype: path
 toolbar: None
 """
 USERS = {
-    "matplotlibrc": (HOSTILE + "backend: TkAgg", {"MPLBACKEND": "QtAgg", "DISPLAY": ""}),
-    "a variable": (HOSTILE, {"MATPLOTLIBRC": "matplotlibrc", "MPLBACKEND": "nonsense"}),
-    "damaged": ("\0nothing: [", {"TZ": "Asia/Kathmandu", "LC_ALL": "de_DE", "FORCE_COLOR": "1"}),
+    "hostile": (
+        HOSTILE + "backend: TkAgg",
+        {"MATPLOTLIBRC": "matplotlibrc", "MPLBACKEND": "nonsense"},
+    ),
+    "damaged": (
+        "\0nothing: [",
+        {
+            **{"MPLBACKEND": "QtAgg", "DISPLAY": ""},
+            **{"TZ": "Asia/Kathmandu", "LC_ALL": "de_DE", "FORCE_COLOR": "1"},
+        },
+    ),
 }
 
 
-def draw(folder, settings="", **variables):
-    """Digest of figures drawn by a process with settings, and a setting of the user afterwards."""
-    (folder / "matplotlibrc").write_text(settings)
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory):
+    """Digest of the figures as this process draws them."""
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(io.StringIO()) as out:
+        patch.setattr(sys, "argv", ["", tmp_path_factory.mktemp("plain")])
+        exec(DRAW, {})
+    return out.getvalue().split()[0]
+
+
+@pytest.mark.parametrize("name", USERS)
+def test_settings_of_the_user_change_no_byte(name, plain, tmp_path):
+    """Neither of a file and of variables, nor of the place, nor is the file's setting lost."""
+    settings, variables = USERS[name]
+    (tmp_path / "matplotlibrc").write_text(settings)
     kept = {k: v for k, v in os.environ.items() if not k.startswith("MPL")}
     done = subprocess.run(
-        [sys.executable, "-c", DRAW, folder],
-        cwd=folder,
+        [sys.executable, "-c", DRAW, tmp_path],
+        cwd=tmp_path,
         env={**kept, "PYTHONPATH": str(ROOT), **variables},
         capture_output=True,
         text=True,
         timeout=TIMEOUT_S,
     )
     assert done.returncode == 0, done.stderr
-    return done.stdout.split()
-
-
-@pytest.fixture(scope="module")
-def plain(tmp_path_factory):
-    return draw(tmp_path_factory.mktemp("plain"))
-
-
-@pytest.mark.parametrize("name", USERS)
-def test_settings_of_the_user_change_no_byte(name, plain, tmp_path):
-    settings, variables = USERS[name]
-    digest, size = draw(tmp_path, settings, **variables)
-    assert digest == plain[0]
+    digest, size = done.stdout.split()
+    assert digest == plain
     assert size == ("30.0" if "font.size" in settings else "10.0"), "the user's settings are lost"

@@ -1,23 +1,22 @@
 """A web viewer answers on this machine only, for as long as its command runs."""
 
+import contextlib
 import http.client
 import os
 import re
 import signal
 import socket
-import subprocess
-import sys
 import urllib.request
 from pathlib import Path
 
 import pytest
-from commands import call_command
+from commands import call_command, environment
+from forked import Forked
 from record_flight import record, run_info, run_samples
 from waiting import TIMEOUT_S, until
 
 from testbed.core.errors import InputError
-from testbed.logs.read import read_log
-from testbed.views import LiveViewer, replay, viewer
+from testbed.views import viewer
 
 
 def listening(port):
@@ -27,28 +26,19 @@ def listening(port):
     return {address for address, each in ends if int(each, 16) == port}
 
 
-def test_web_view_answers_on_loopback_until_ctrl_c(tmp_path):
-    record(tmp_path / "run.mcap", run_samples(60), run_info())
-    command = [sys.executable, "-m", "testbed", "view", "run.mcap", "--web", "--follow", "uav1"]
-    with subprocess.Popen(
-        command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, env=os.environ | {"COLUMNS": "99"}
-    ) as process:
+@contextlib.contextmanager
+def command(*arguments, cwd):
+    """A command in a process of its own, and the file of its errors; killed if it does not end."""
+    read, write = os.pipe()
+    with os.fdopen(read) as errors:
+        with os.fdopen(write, "w") as theirs:
+            process = Forked(
+                *("testbed.cli.main:main", *arguments), cwd=cwd, env=environment(99), stderr=theirs
+            )
         try:
-            url, access, end = (process.stderr.readline() for _ in range(3))
-            page = re.fullmatch(r"view: (http://127\.0\.0\.1:(\d+)/\?url=rerun.*)\n", url)
-            ports = [int(each) for each in re.findall(r"-L (\d+):127\.0\.0\.1:\1", access)]
-            assert ports[0] == int(page[2]) and f"%3A{ports[1]}%2Fproxy" in url
-            with urllib.request.urlopen(page[1], timeout=TIMEOUT_S) as answer:
-                assert answer.status == 200 and b"Rerun" in answer.read()
-            assert [listening(port) for port in ports] == [{"0100007F"}] * 2
-            assert "Ctrl-C" in end, "the run has been sent"
-        finally:
-            process.send_signal(signal.SIGINT)
-        try:
-            assert process.wait(TIMEOUT_S) == 0
+            yield process, errors
         finally:
             process.kill()
-    until(lambda: not any(listening(port) for port in ports))
 
 
 FLIGHT = "/rerun.sdk_comms.v1alpha1.MessageProxyService/ReadMessages"
@@ -66,38 +56,47 @@ def ask(port, method, path, **headers):
     return found
 
 
-def test_web_viewer_answers_any_host(tmp_path):
-    """A page that has this machine's address under its own name (DNS rebinding) reads the flight.
+def test_web_viewer_answers_any_host_until_ctrl_c(tmp_path):
+    """It listens on this machine alone.
 
+    A page that has this machine's address under its own name (DNS rebinding) reads the flight.
     Pages of other machines under other addresses get no permission to read it.
     """
     record(tmp_path / "run.mcap", run_samples(60), run_info())
     foreign, local = "http://hostile.example", "http://localhost:8000"
-    with viewer.serve_web_viewer(viewer.HOST) as served:
-        replay(LiveViewer(port=served.port, lossless=True), read_log(tmp_path / "run.mcap"))
-        name = f"hostile.example:{served.page_port}"
-        assert ask(served.page_port, "GET", "/", Host=name) == (200, True, None)
-        assert ask(served.port, "POST", FLIGHT, Host=name) == (200, True, None)
-        assert ask(served.port, "POST", FLIGHT, Origin=foreign) == (200, True, None)
-        assert ask(served.port, "POST", FLIGHT, Origin=local) == (200, True, local)
+    words = ("view", "run.mcap", "--web", "--follow", "uav1")
+    with command(*words, cwd=tmp_path) as (process, errors):
+        url, access, end = (errors.readline() for _ in range(3))
+        page = re.fullmatch(r"view: (http://127\.0\.0\.1:(\d+)/\?url=rerun.*)\n", url)
+        ports = [int(each) for each in re.findall(r"-L (\d+):127\.0\.0\.1:\1", access)]
+        page_port, port = ports
+        assert page_port == int(page[2]) and f"%3A{port}%2Fproxy" in url
+        with urllib.request.urlopen(page[1], timeout=TIMEOUT_S) as answer:
+            assert answer.status == 200 and b"Rerun" in answer.read()
+        assert [listening(each) for each in ports] == [{"0100007F"}] * 2
+        assert "Ctrl-C" in end, "the run has been sent"
+        name = f"hostile.example:{page_port}"
+        assert ask(page_port, "GET", "/", Host=name) == (200, True, None)
+        assert ask(port, "POST", FLIGHT, Host=name) == (200, True, None)
+        assert ask(port, "POST", FLIGHT, Origin=foreign) == (200, True, None)
+        assert ask(port, "POST", FLIGHT, Origin=local) == (200, True, local)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(TIMEOUT_S) == 0
+    until(lambda: not any(listening(each) for each in ports))
 
 
 def test_run_in_web_viewer_stays_until_ctrl_c(tmp_path):
-    command = [sys.executable, "-m", "testbed", "run", "simulation-3", "--duration", "0.2"]
-    command += ["--view", "web", "--quiet", "--out", "it"]
-    with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True) as process:
-        try:
-            lines = [process.stderr.readline() for _ in range(3)]
-            assert "until Ctrl-C" in lines[2], lines
-            assert (tmp_path / "it" / "metrics.json").is_file(), "the flight is over"
-            page = lines[0].removeprefix("view: ").strip()
-            assert page.endswith("&theme=dark"), "the viewer's colours suit a dark background"
-            with urllib.request.urlopen(page, timeout=TIMEOUT_S) as answer:
-                assert answer.status == 200
-            process.send_signal(signal.SIGINT)
-            assert process.wait(TIMEOUT_S) == 0
-        finally:
-            process.kill()
+    words = ("run", "simulation-3", "--duration", "0.2", "--view", "web", "--quiet", "--out", "it")
+    with command(*words, cwd=tmp_path) as (process, errors):
+        lines = [errors.readline() for _ in range(3)]
+        assert "until Ctrl-C" in lines[2], lines
+        assert (tmp_path / "it" / "metrics.json").is_file(), "the flight is over"
+        page = lines[0].removeprefix("view: ").strip()
+        assert page.endswith("&theme=dark"), "the viewer's colours suit a dark background"
+        with urllib.request.urlopen(page, timeout=TIMEOUT_S) as answer:
+            assert answer.status == 200
+        process.send_signal(signal.SIGINT)
+        assert process.wait(TIMEOUT_S) == 0
 
 
 def test_follow_without_a_view_is_a_warning(tmp_path):
