@@ -4,6 +4,7 @@ Only for claims about what a process does, not about how it starts.
 """
 
 import atexit
+import gc
 import importlib
 import json
 import os
@@ -23,12 +24,17 @@ STEP_S = 0.005
 
 
 def load():
-    """Import the commands, and fly, which loads what flights need."""
+    """Import the commands, and fly, which loads what flights need.
+
+    A process that ends collects none of it: that took several times as long as a command.
+    """
     from testbed.cli.main import main  # noqa: F401 - for the processes
     from testbed.runs.run import run
     from testbed.scenario import load_scenario, set_duration
 
     run(set_duration(load_scenario("simulation-3"), 0.1), write=False)
+    gc.collect()
+    gc.freeze()
 
 
 def serve(number):
