@@ -77,6 +77,11 @@ def _become(function, arguments, folder, variables, files):
     sys.exit()
 
 
+def execute():
+    """Execute the program that is the first argument, as the main module."""
+    exec(sys.argv[1], sys.modules["__main__"].__dict__)
+
+
 @cache
 def _starter():
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)

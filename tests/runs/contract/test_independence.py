@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
-from commands import environment
+from commands import call_command, environment
 from run_flight import Collector
 from waiting import TIMEOUT_S
 
@@ -106,50 +106,42 @@ def test_silent_aircraft_without_wake_changes_nothing(turbulence):
     assert_same(fly(scenario), fly(loads(yaml.safe_dump(tree))), aircraft=4)
 
 
-PLACES = {
-    "here": {},
-    "elsewhere": {
-        "LC_ALL": "C",
-        "LANG": "de_DE.UTF-8",
-        "PYTHONHASHSEED": "7",
-        "TZ": "Asia/Kathmandu",
-        "COLUMNS": "40",
-        "HOME": "/nonexistent",
-        "TERM": "dumb",
-    },
+ELSEWHERE = {
+    "LC_ALL": "C",
+    "LANG": "de_DE.UTF-8",
+    "PYTHONHASHSEED": "7",
+    "TZ": "Asia/Kathmandu",
+    "COLUMNS": "40",
+    "HOME": "/nonexistent",
+    "TERM": "dumb",
 }
 
 
 def test_directory_locale_hashes_and_other_runs_beside(tmp_path):
-    """All at once, so that each runs beside others; their logs are the same.
+    """A new process flies elsewhere, and this one beside it; their logs are the same.
 
     A slow run cuts its log into shorter chunks, so that not all bytes are the same: all messages
     are, their times, and what is attached.
     """
-    running = {}
-    for place, changes in PLACES.items():
-        folder = tmp_path / place
+    here, elsewhere = tmp_path / "here", tmp_path / "elsewhere"
+    command = ["run", "simulation-3", "--out", "run", "-q"]
+    for change in BUSY:
+        command += ["--set", change]
+    for folder in (here, elsewhere):
         folder.mkdir()
-        command = ["run", "simulation-3", "--out", "run", "-q"]
-        for change in BUSY:
-            command += ["--set", change]
-        running[place] = subprocess.Popen(
-            [sys.executable, "-m", "testbed", *command],
-            cwd=folder,
-            env=environment(80) | changes,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-    logs = {}
-    try:
-        for place, process in running.items():
+    with subprocess.Popen(
+        [sys.executable, "-m", "testbed", *command],
+        cwd=elsewhere,
+        env=environment(80) | ELSEWHERE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        try:
+            call_command(*command, cwd=here, code=0, columns=80)
             _, output = process.communicate(timeout=TIMEOUT_S)
-            assert process.returncode == 0, f"{place}: {output}"
-            logs[place] = read(tmp_path / place / "run" / "run.mcap")
-            assert os.listdir(tmp_path / place) == ["run"]
-    finally:
-        for process in running.values():
+        finally:
             process.kill()
-            process.communicate()
-    for place, log in logs.items():
-        assert log == logs["here"], place
+    assert process.returncode == 0, output
+    logs = [read(folder / "run" / "run.mcap") for folder in (here, elsewhere)]
+    assert logs[0] == logs[1]
+    assert [os.listdir(folder) for folder in (here, elsewhere)] == [["run"]] * 2

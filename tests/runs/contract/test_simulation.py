@@ -3,13 +3,12 @@
 import itertools
 import json
 import math
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from commands import environment
+from forked import Forked
 from run_flight import Collector
 from waiting import TIMEOUT_S
 
@@ -155,12 +154,13 @@ def test_reset_repeats_the_flight_and_takes_a_seed():
 
 
 UNCLOSED = """
-import gc, os, sys
+import gc, os, sys, warnings
 import testbed
 from testbed.logs.mcap_file import LogError
 from testbed.scenario import load_scenario, set_duration
 
-simulation = testbed.Simulation(set_duration(load_scenario("simulation-3"), 4.0), out=sys.argv[1])
+warnings.simplefilter("always", ResourceWarning)
+simulation = testbed.Simulation(set_duration(load_scenario("simulation-3"), 4.0), out="run")
 simulation.step(until=1.0)
 if sys.argv[2] == "dropped":
     del simulation
@@ -182,22 +182,24 @@ elif sys.argv[2] == "forked":
 @pytest.mark.parametrize("ending", ["dropped", "program ends", "forked"])
 def test_unclosed_or_forked_flight_keeps_its_log(tmp_path, ending):
     """It is finished with a warning; a fork is refused, and does not change its parent's log."""
-    done = subprocess.run(
-        [sys.executable, "-W", "always::ResourceWarning", "-c", UNCLOSED, "run", ending],
-        cwd=tmp_path,
-        env=environment(80),
-        capture_output=True,
-        text=True,
-        timeout=TIMEOUT_S,
-    )
-    assert done.returncode == 0 and "Traceback" not in done.stderr, done.stderr
+    with (tmp_path / "out").open("w+") as out, (tmp_path / "err").open("w+") as err:
+        process = Forked(
+            *("forked:execute", UNCLOSED, ending),
+            cwd=tmp_path,
+            env=environment(80),
+            stdout=out,
+            stderr=err,
+        )
+        code = process.wait(TIMEOUT_S)
+        printed, errors = (Path(each.name).read_text() for each in (out, err))
+    assert code == 0 and "Traceback" not in errors, errors
     log = read_log(tmp_path / "run" / LOG_NAME)
     if ending == "forked":
         error = "run/run.mcap: this process is a fork of the one that writes the log"
-        assert done.stdout.count(error) == 2
+        assert printed.count(error) == 2
         assert log.finished and log.metrics["outcome"] == "completed"
     else:
-        assert "ResourceWarning: run/run.mcap: its Simulation was not closed" in done.stderr
+        assert "ResourceWarning: run/run.mcap: its Simulation was not closed" in errors
         assert log.finished and log.metrics is None and log.time_s[-1] >= 0.96
         assert recover(tmp_path / "run").metrics["simulated_s"] >= 0.96
 
