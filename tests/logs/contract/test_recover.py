@@ -5,13 +5,13 @@ import os
 import shutil
 import signal
 import struct
-import subprocess
-import sys
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from commands import call_command, environment
+from forked import Forked
+from waiting import TIMEOUT_S
 
 import testbed
 from testbed.core.records import VehicleState
@@ -27,8 +27,8 @@ MAGIC, CHUNK = 8, 6  # bytes of MCAP's magic, and the opcode of a chunk
 HEAD = struct.Struct("<BQ")  # of a record: opcode, and length of the rest
 CUTS = int(os.environ.get("TESTBED_CUTS", "2"))
 CHANGES = [
-    "scenario.duration_s=60",
-    "scenario.windows={early: [5, 12], late: [12, 60]}",
+    "scenario.duration_s=30",
+    "scenario.windows={early: [5, 12], late: [12, 30]}",
     "scenario.published=null",
     "network.loss=0.1",
 ]
@@ -139,10 +139,10 @@ def test_killed_recover_leaves_nothing_to_clean_up(cut):
     names, log = {each.name for each in run.iterdir()}, (run / "run.mcap").read_bytes()
     code = (
         "import os, sys; from testbed.runs import recover as module;"
-        "module._is_complete = lambda *logs: os.kill(os.getpid(), 9); module.recover(sys.argv[1])"
+        "module._is_complete = lambda *logs: os.kill(os.getpid(), 9); module.recover(sys.argv[2])"
     )
-    done = subprocess.run([sys.executable, "-c", code, run], env=environment(80), check=False)
-    assert done.returncode == -signal.SIGKILL and (run / "run.mcap").read_bytes() == log
+    process = Forked("forked:execute", code, run, cwd=run.parent, env=environment(80))
+    assert process.wait(TIMEOUT_S) == -signal.SIGKILL and (run / "run.mcap").read_bytes() == log
     (left,) = {each.name for each in run.iterdir()} - names
     assert left.startswith(".testbed-")
     assert recover(run).was_cut

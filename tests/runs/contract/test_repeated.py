@@ -2,6 +2,7 @@
 
 import pytest
 import small_study
+from cases import ALL
 
 import testbed
 from testbed.core.errors import FlightError, InputError
@@ -44,7 +45,7 @@ def built(monkeypatch):
 @pytest.mark.parametrize("changes", [NOISY, GUSTY], ids=["noisy", "gusty"])
 def test_kept_flights_are_runs_of_their_seeds(changes, built):
     scenario, flights = load(*changes), RepeatedFlights()
-    seeds = (3, 1, 1, 3)
+    seeds = (3, 1, 1, 3) if ALL or changes is NOISY else (3, 1)
     found = [flights.fly(set_seed(scenario, seed)) for seed in seeds]
     assert built == [3]
     expected = {seed: flown(set_seed(scenario, seed)) for seed in seeds}

@@ -15,6 +15,8 @@ import time
 import numpy as np
 import pytest
 from cases import ALL
+from commands import environment
+from forked import Forked
 from places import SHARED
 from run_flight import (
     NOISY,
@@ -277,12 +279,17 @@ cli.main()
 
 
 def test_ctrl_c_swallowed_by_a_library_ends_the_run(tmp_path):
-    done = subprocess.run(
-        [sys.executable, "-c", SWALLOWED],
-        cwd=tmp_path, capture_output=True, text=True, timeout=TIMEOUT_S,
-    )  # fmt: skip
-    assert done.stdout == "swallowed\n"
-    assert done.returncode == 130, done.stderr
+    with (tmp_path / "out").open("w") as out, (tmp_path / "err").open("w") as err:
+        process = Forked(
+            *("forked:execute", SWALLOWED),
+            cwd=tmp_path,
+            env=environment(80),
+            stdout=out,
+            stderr=err,
+        )
+        code = process.wait(TIMEOUT_S)
+    assert (tmp_path / "out").read_text() == "swallowed\n"
+    assert code == 130, (tmp_path / "err").read_text()
     assert json.loads((tmp_path / "run" / "metrics.json").read_text())["simulated_s"] == 0.0
 
 
