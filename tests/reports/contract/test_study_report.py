@@ -37,6 +37,12 @@ def made():
     return study, render_page(study_page(study))
 
 
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Pages without figures, which take most of the time."""
+    monkeypatch.setattr("testbed.reports.study.page.study_figures", lambda study: iter(()))
+
+
 def test_report_stands_alone_with_every_figure(made):
     study, text = made
     page = stands_alone(text)
@@ -88,7 +94,7 @@ def two_cases(seeds, nearer=2.0, uneven=False):
 
 
 @pytest.mark.parametrize("uneven", [False, True])
-def test_worse_numbers_are_told_beside_the_metric(uneven):
+def test_worse_numbers_are_told_beside_the_metric(uneven, undrawn):
     study = two_cases(6, uneven=uneven)
     assert tables.cases(study).rows[1][4] == "better"
     (row,) = tables.side_effects(study).rows
@@ -106,7 +112,7 @@ def test_worse_numbers_are_told_beside_the_metric(uneven):
     assert "What got worse" not in render_page(study_page(harmless))
 
 
-def test_worse_numbers_need_three_seeds():
+def test_worse_numbers_need_three_seeds(undrawn):
     study = two_cases(2)
     assert tables.side_effects(study).rows == []
     assert tables.cases(study).rows[1][4] == "too few"
@@ -193,15 +199,15 @@ def test_cases_are_drawn_at_every_point():
     assert difference.x == pytest.approx([0.4, 0.2, 0.6])
 
 
-def test_maps_of_a_row_have_one_colour_bar(made, monkeypatch):
+def test_maps_of_a_row_have_one_colour_bar(monkeypatch):
     """As they have one scale."""
     bars = []
     bar = Figure.colorbar
     monkeypatch.setattr(Figure, "colorbar", lambda *a, **more: (bars.append(a), bar(*a, **more))[1])
-    study, _ = made
-    (heat,) = [each for each in figures.study_figures(study) if each.name.startswith("heat")]
+    made = figures.study_figures(two_laws("case"))
+    (heat,) = [each for each in made if each.name.startswith("heat")]
     figure_svg(heat.grid)
-    assert len(bars) < sum(map(len, heat.grid.rows))
+    assert 0 < len(bars) < sum(map(len, heat.grid.rows))
     assert len(bars) <= 2 * len(heat.grid.rows)
 
 
@@ -238,7 +244,7 @@ def test_latex_table_has_cases_points_and_metrics(made):
     assert r"A b\%\&\#" in latex_table(odd)
 
 
-def test_labels_stand_for_cases_and_keys(made):
+def test_labels_stand_for_cases_and_keys(made, undrawn):
     """In figures, tables and LaTeX; the numbers are those without labels."""
     plain, _ = made
     labels = {"calm": "still air", "gusty": "$w_{20}$ = 8 m/s"}
@@ -250,6 +256,8 @@ def test_labels_stand_for_cases_and_keys(made):
     page = render_page(study_page(study))
     assert "network.loss" not in page and "still air" in page and ">calm<" not in page
     assert "late" in page  # has no label
+    drawn = "".join(map(repr, figures.study_figures(study)))
+    assert "network.loss" not in drawn and "still air" in drawn and "'calm" not in drawn
     drawing = parameters(study, METRIC)
     assert drawing.rows[0][0].x_label == "loss, %"
     assert (named_level("loss, %", 3), named_level("law", "a")) == ("loss 3 %", "law a")
@@ -405,8 +413,7 @@ def test_numbers_have_three_digits(value, text):
     assert format_cell(IntervalEstimate(value, math.nan, math.nan, 2)) == text
 
 
-def test_command_writes_report_tables_and_json(tmp_path, monkeypatch):
-    monkeypatch.setattr("testbed.reports.study.page.study_figures", lambda study: iter(()))
+def test_command_writes_report_tables_and_json(tmp_path, undrawn):
     write_study(tmp_path / "logs/studies/radio/20260101T000000Z-aa/study.parquet", lost=(4,))
     done = call_command(
         "study-report", "radio", "--out", "it.html", "--tables", "csv", "--json", "it.json",
@@ -426,7 +433,7 @@ def test_command_writes_report_tables_and_json(tmp_path, monkeypatch):
     assert found["tables"]["losses"][0]["lost"] == 1
 
 
-def test_flights_that_left_the_formation_are_counted():
+def test_flights_that_left_the_formation_are_counted(undrawn):
     study = drawn(count=8, lost=(1, 2, 3, 4, 5))
     ends = ["formation_lost", "separation_lost", "separation_lost", "failed", "envelope_exceeded"]
     since = np.array([math.nan] * 7 + [3.0])
@@ -447,7 +454,7 @@ def test_flights_that_left_the_formation_are_counted():
     assert counts.replace(", ", " · ") in text
 
 
-def test_unfinished_study_is_reported_as_such(tmp_path):
+def test_unfinished_study_is_reported_as_such(tmp_path, undrawn):
     path = write_study(tmp_path / "study.parquet", runs=4)
     study = read_study(path, metrics=("min_separation_m",), statistic="mean")
     assert study.metrics == ("min_separation_m",)
