@@ -258,13 +258,20 @@ def test_list_runs_as_table_and_json(logs, tmp_path):
 
 
 def test_list_json_has_all_names(tmp_path):
-    text = call_command("list", "--json", "-", cwd=tmp_path, code=0, columns=120).stdout
+    text = call_command("list", "--json", cwd=tmp_path, code=0, columns=120).stdout
     document = json.loads(text)
-    without = call_command("list", "--json", cwd=tmp_path, code=0, columns=120).stdout
-    assert without == text, "standard output is meant"
     for key, names in (("scenarios", list_scenarios()), ("studies", list_studies())):
         assert [each["name"] for each in document[key]] == list(names)
     assert {"name": "rascal110"} in document["aircraft"]
+
+
+def test_list_json_without_a_file_is_standard_output(tmp_path):
+    words = ("list", "--runs", ".", "--json")
+    printed = [
+        call_command(*words, *more, cwd=tmp_path, code=0, columns=120).stdout
+        for more in ((), ("-",))
+    ]
+    assert printed[0] == printed[1] and json.loads(printed[0])["runs"] == []
 
 
 def test_default_output_replaces_only_the_testbeds(tmp_path):

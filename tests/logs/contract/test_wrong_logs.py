@@ -17,7 +17,7 @@ from testbed.logs import mcap_file
 from testbed.logs.mcap_file import LogError
 from testbed.logs.read import read_log
 from testbed.metrics.observer import MetricsObserver
-from testbed.reports import read_run, run_page
+from testbed.reports import figures, read_run, run_page
 from testbed.runs.recover import recover
 
 DEEP = "[" * 200_000
@@ -52,7 +52,8 @@ def changed(content, changes):
     return content_of(made)
 
 
-def test_good_log_is_reported_and_compared(tmp_path):
+def test_good_log_is_reported_and_compared(tmp_path, monkeypatch):
+    monkeypatch.setattr(figures, "MAKERS", ())  # all of them take seconds
     path = write_log(tmp_path / "run.mcap")
     assert "completed" in run_page(read_run(path)).head
     assert compare_runs(read_log(path), read_log(path)).same

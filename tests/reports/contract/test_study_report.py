@@ -345,7 +345,7 @@ def two_laws(kind):
 
 
 @pytest.mark.parametrize("kind", ["key", "case"])
-def test_laws_are_kept_apart(kind):
+def test_laws_are_kept_apart(kind, undrawn):
     """Pooled, the rank correlation would be 0 and every cell of the map 2."""
     study = two_laws(kind)
     effects = {row[1:3]: row[3:] for row in tables.effects(study).rows}
