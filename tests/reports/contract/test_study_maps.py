@@ -184,8 +184,14 @@ def cases_of_map(near=6.0, seeds=1):
     return replace(study, flights=replace(study.flights, metrics=metrics))
 
 
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Pages without figures, which take most of the time."""
+    monkeypatch.setattr("testbed.reports.study.page.study_figures", lambda study: iter(()))
+
+
 @pytest.mark.parametrize("seeds", [1, 4])
-def test_map_tells_what_got_worse_point_by_point(seeds):
+def test_map_tells_what_got_worse_point_by_point(seeds, undrawn):
     study = cases_of_map(near=4.0, seeds=seeds)
     (row,) = tables.side_effects(study).rows
     assert row[:4] == ("two", "smallest separation, m", "5 of 25", f"{X} 0, {Y} 4")
@@ -197,7 +203,7 @@ def test_map_tells_what_got_worse_point_by_point(seeds):
     assert "What got worse" not in render_page(study_page(harmless))
 
 
-def test_map_has_no_number_over_its_points():
+def test_map_has_no_number_over_its_points(undrawn):
     """Points are chosen unevenly: cases are counted point by point, without a figure."""
     study = cases_of_map()
     (row,) = tables.cases(study).rows
