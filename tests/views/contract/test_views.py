@@ -430,14 +430,15 @@ def test_screenshot_on_a_full_disk_keeps_old_file(tmp_path, monkeypatch):
 
     @contextlib.contextmanager
     def then_full(*arguments, **options):
-        with started(*arguments, **options) as port, full_disk(100):
+        with started(*arguments, **options) as port:
+            disk.enter_context(full_disk(100))  # for what this process writes from now on
             yield port
 
     monkeypatch.setattr(recorded_runs, "headless_viewer", then_full)
     monkeypatch.setattr(recorded_runs, "GREETING_S", 0.0)
     path = tmp_path / "flight.png"
     path.write_text("old")
-    with pytest.raises(OSError, match="File too large"):
+    with contextlib.ExitStack() as disk, pytest.raises(OSError, match="File too large"):
         screenshot(path, 1.0, views_flight.log(2, 2.0), size=(320, 200))
     assert path.read_text() == "old" and list(tmp_path.iterdir()) == [path]
 
