@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import secrets
 import shutil
 import signal
 import subprocess
@@ -10,7 +11,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,6 +28,9 @@ START_S = 180.0  # until all listen; where nothing is compiled yet, it takes mos
 _GRACE_S = 3.0  # from SIGTERM to SIGKILL
 _POLL_S = 0.05
 _ATTEMPTS = 50  # to find neighbouring ports that are free
+# below those that a system gives to programs which ask for any port: it must not give one away in
+# the seconds until a companion opens it
+_PORTS = range(20_000, 32_000)
 _TAIL_LINES, _TAIL_BYTES = 12, 4000
 
 
@@ -37,21 +41,12 @@ def free_ports(count: int) -> int:
         InputError: none were found.
     """
     for _ in range(_ATTEMPTS):
-        opened: list[Endpoint] = []
-        try:
-            opened.append(Endpoint(Address("udpin", LOOPBACK, 0), time.monotonic))
-            first = opened[0].port
-            if first + count > 65536:
-                continue
-            for k in range(1, count):
-                opened.append(Endpoint(Address("udpin", LOOPBACK, first + k), time.monotonic))
-        except InputError:
-            continue
-        else:
+        first = secrets.choice(_PORTS)
+        with ExitStack() as opened, suppress(InputError):
+            for port in range(first, first + count):
+                endpoint = Endpoint(Address("udpin", LOOPBACK, port), time.monotonic)
+                opened.callback(endpoint.close)
             return first
-        finally:
-            for each in opened:
-                each.close()
     raise InputError(
         f"--companions: no {count} neighbouring UDP ports are free; end other programs"
     )

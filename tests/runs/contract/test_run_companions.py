@@ -2,9 +2,11 @@
 
 import os
 import signal
+import socket
 import sys
 import textwrap
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -208,6 +210,24 @@ def test_dead_companion_is_a_warning_in_real_time(started):
     assert np.delete(guided[:, 1:], 1, axis=1).all() and not guided[-1, 2]
     assert result.metrics["commanded"]["uav1"]["commands"] > 100
     assert ended(started)
+
+
+def test_ports_of_companions_are_neighbours_and_free(monkeypatch):
+    """The system gives none of them to another program before the companions open them."""
+    given = int(Path("/proc/sys/net/ipv4/ip_local_port_range").read_text().split()[0])
+    assert max(companion_processes._PORTS) + 100 < given
+    taken = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    with taken:
+        taken.bind(("127.0.0.1", 0))
+        port = taken.getsockname()[1]
+        monkeypatch.setattr(companion_processes, "_PORTS", range(port - 1, port + 1))
+        with pytest.raises(InputError, match="no 2 neighbouring UDP ports are free"):
+            companion_processes.free_ports(2)
+    monkeypatch.undo()
+    first = companion_processes.free_ports(3)
+    for each in range(first, first + 3):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+            free.bind(("127.0.0.1", each))
 
 
 @pytest.mark.parametrize(
