@@ -73,22 +73,13 @@ def test_wrapped_built_in_law_has_its_margins(tmp_path):
     The memory of the built-in law is then a state of the kernel.
     """
     found = []
-    for scenario, more in (
+    for scenario, options in (
         ("simulation-3", ()),
-        (EXAMPLES / "integral-kernel.yaml", ("--set", "controller.options.rate_per_s=0")),
+        (EXAMPLES / "integral-kernel.yaml", ("controller.options.rate_per_s=0",)),
     ):
-        words = (
-            "margins",
-            scenario,
-            "--bank",
-            "0",
-            "--jobs",
-            "1",
-            "--json",
-            "m.json",
-            *more,
-            *RATES,
-        )
+        words = ["margins", scenario, "--bank", "0", "--jobs", "1", "--json", "m.json"]
+        for each in (*options, *RATES):
+            words += ["--set", each]
         with in_this_process():
             call_command(*words, cwd=tmp_path, code=0, columns=80)
         [straight] = json.loads((tmp_path / "m.json").read_text("utf-8"))["predicted"]
