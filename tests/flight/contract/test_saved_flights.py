@@ -15,7 +15,8 @@ CLOCKS = ("wall_s", "real_time_factor")
 SOME = ("simulation-3-pixhawk", "telemetry-radio", "own-law-integral", "engine-out-uav2")
 OTHERS = ("simulation-3-ardupilot", "late-radio-loss")  # a program; begins as another, see below
 ALL = [each for each in list_scenarios() if each not in OTHERS]
-CHOSEN = ALL if os.environ.get("TESTBED_WHOLE") else SOME
+WHOLE = bool(os.environ.get("TESTBED_WHOLE"))
+CHOSEN = ALL if WHOLE else SOME
 
 
 def numbers(metrics):
@@ -31,8 +32,8 @@ def fly(simulation):
     return seen, numbers(simulation.metrics), [str(each) for each in simulation.events]
 
 
-def short(name):
-    return set_duration(load_scenario(name), 10.0)
+def short(name, duration_s=10.0):
+    return set_duration(load_scenario(name), duration_s)
 
 
 @pytest.mark.parametrize("name", CHOSEN)
@@ -55,7 +56,7 @@ def test_restored_flight_goes_on_to_the_bit(name):
 @pytest.mark.parametrize("name", CHOSEN)
 def test_reset_rows_fly_as_new_ones(name):
     """With another seed and the same one; the rows beside stay as they are."""
-    scenario = short(name)
+    scenario = short(name, 10.0 if WHOLE else 4.0)
     batch = testbed.Batch(scenario, seeds=[1, 2, 3])
     expected = [numbers(each) for each in batch.run()]
     outer = [batch.aircraft[row].tobytes() for row in (0, 2)]

@@ -135,7 +135,7 @@ def test_average_has_the_poles_of_the_product(turn):
 MARGINS = [(command, what) for what in ("gain", "latency_s") for command in range(3)]
 
 
-@pytest.mark.parametrize(("command", "what"), some(MARGINS, 3))
+@pytest.mark.parametrize(("command", "what"), some(MARGINS, 2))
 def test_margin_is_that_of_flights(turn, command, what):
     """A follower's oscillation decays below the margin of a command, and grows above it."""
     margin = getattr(margins_of_command(turn.formation, 0, command), what)

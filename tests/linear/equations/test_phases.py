@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from cases import ALL, in_full, some
 
-from testbed.linear import flown_response, follower_state, period_map
+from testbed.linear import flown_response, follower_state, period_map, straight_formation
 from testbed.linear.flown_response import fly_response
 from testbed.linear.follower_state import FollowerStates
 from testbed.linear.held_flight import InputChanges
@@ -129,7 +129,8 @@ def test_experiment_1_has_predicted_margins():
 def test_messages_that_swing_are_changed_once(monkeypatch):
     """Also those that stay in the links while others arrive, by the time of their content."""
     if not ALL:  # the integral of the course settles for longer, but hardly moves here
-        monkeypatch.setattr(flown_response, "SETTLED_S", 75.0)
+        for module in (flown_response, straight_formation):
+            monkeypatch.setattr(module, "SETTLED_S", 75.0)
     scenario, at = load_scenario("experiment-2"), np.array([0.1])
     formation = linearise_straight(scenario)
     found = formation.respond("message-right", at, 1).position[..., 1]

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from cases import ALL
+from slow_control import RATES
 
 from testbed.core.velocity_frame import velocity_frame
 from testbed.linear import flown_response, straight_formation
@@ -28,14 +29,14 @@ from testbed.linear.string_gain import (
 )
 from testbed.scenario import load_scenario
 
-LATE = ("network.delay_s=0.4",)  # ten control periods
+LATE = ("network.delay_s=0.4",)  # several control periods
 LEADER = ("leader-speed", "leader-weave", "leader-height")
 
 
 @pytest.fixture(scope="module")
 def scenario():
     """Return Simulation 2, a chain, with late messages."""
-    return load_scenario("simulation-2", list(LATE))
+    return load_scenario("simulation-2", [*LATE, *RATES])
 
 
 @pytest.fixture(scope="module")

@@ -373,7 +373,7 @@ def test_message_delay_of_a_law_is_that_of_flights(laws, straight, monkeypatch):
     monkeypatch.setattr(delay_margin, "MAX_DELAY_S", 1.2)
     monkeypatch.setattr(delay_margin, "SEARCHED", 4)
     if not ALL:  # with which counts are sure, too: test_delay_margin
-        monkeypatch.setattr(delay_margin, "_FREQUENCIES", 300)
+        monkeypatch.setattr(delay_margin, "_FREQUENCIES", 60)
     later = predicted_margins._LaterMessages(load_scenario(laws["mean"]), 0.0, straight.maps)
     [margin] = delay_margins(straight.maps, later)
     assert margin.followers == ("uav1", "uav2", "uav3")

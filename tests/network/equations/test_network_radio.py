@@ -9,7 +9,7 @@ import warnings
 
 import numpy as np
 import pytest
-from cases import ALL
+from cases import in_full
 from places import ROOT
 
 from testbed.core.records import Broadcast, Messages
@@ -326,9 +326,10 @@ def test_corrupted_copies_would_have_arrived(arithmetic):
     assert corrupted > 100
 
 
+@in_full  # kernels of a flight with a radio as Python: tests/core/contract/test_compile.py
 def test_debug_mode_gives_the_same_messages():
     """Kernels as Python: the same numbers, to rounding, and no warning of an overflow."""
-    program = f"rounds = {100 if ALL else 30}\n{EXCHANGE}"
+    program = f"rounds = 100\n{EXCHANGE}"
     printed = io.StringIO()
     with contextlib.redirect_stdout(printed), warnings.catch_warnings(action="error"):
         exec(program, {})

@@ -12,7 +12,7 @@ import time
 
 import pytest
 import small_study
-from cases import ALL
+from cases import ALL, in_full
 from commands import call_command, environment, refuse_all
 from full_disk import full_disk
 from rich.console import Console
@@ -90,13 +90,13 @@ def test_sweep_command_of_a_row_repeats_its_numbers(folder, tmp_path):
     assert {name: row[name] for name in again} == again
 
 
+@in_full  # workers that are processes are those of the pool's tests, and another kind is below
 def test_sweep_processes_give_the_same_file(folder, tmp_path, monkeypatch):
     """Flights that end in another order are those of `test_study_map`."""
     monkeypatch.chdir(folder)
     seen = []
-    jobs = 2 if ALL else 1
     result = sweep(
-        "small.yaml", tmp_path / "new", jobs=jobs, progress=lambda *numbers: seen.append(numbers)
+        "small.yaml", tmp_path / "new", jobs=2, progress=lambda *numbers: seen.append(numbers)
     )
     assert same(folder, result.path)
     assert result.new_runs == small_study.RUNS and result.completed
@@ -423,7 +423,7 @@ def test_sweep_bad_input_exits_2_and_writes_nothing(tmp_path):
     refuse_all("sweep", tmp_path)
 
 
-@pytest.mark.parametrize("share", [0.02, 0.5, 0.98])
+@pytest.mark.parametrize("share", [0.02, 0.5, 0.98] if ALL else [0.02, 0.98])
 def test_sweep_on_a_full_disk_is_one_error_line(folder, workers, tmp_path, share):
     """The disk is full when the journal is created, while it grows, or at the last write."""
     small_study.write(tmp_path)
