@@ -4,8 +4,8 @@ import json
 from pathlib import Path
 
 import pytest
+from cases import in_full
 from commands import call_command
-from slow_control import RATES
 from small_study import in_this_process
 from user_laws import FILTERED
 
@@ -67,6 +67,7 @@ def test_law_that_others_inform_is_refused(tmp_path):
     assert "--method flown" in done.stderr
 
 
+@in_full  # memory as a state: test_user_laws; flights of this kernel: test_law_outputs
 def test_wrapped_built_in_law_has_its_margins(tmp_path):
     """An integral with a rate of zero changes nothing: the margins are those of the built-in law.
 
@@ -78,7 +79,7 @@ def test_wrapped_built_in_law_has_its_margins(tmp_path):
         (EXAMPLES / "integral-kernel.yaml", ("controller.options.rate_per_s=0",)),
     ):
         words = ["margins", scenario, "--bank", "0", "--jobs", "1", "--json", "m.json"]
-        for each in (*options, *RATES):
+        for each in options:
             words += ["--set", each]
         with in_this_process():
             call_command(*words, cwd=tmp_path, code=0, columns=80)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cases import some
+from cases import ALL, some
 from scipy.signal import dlsim
 
 from testbed.linear.held_flight import COMMANDS, HeldFlight
@@ -114,9 +114,10 @@ def test_response_in_a_descending_turn():
     assert np.abs(velocity[:, 2] - 2.0).max() < 0.05
     flown = descent.respond(1, 200)[:, 1, :2]
     assert largest_error(predicted(descent.formation, 1, 200)[:, 1], flown) < 0.01
-    level = Linearised("simulation-3", 0.0)
-    throttle = [margins_of_command(each.formation, 1, 2).gain for each in (descent, level)]
-    assert throttle[0] < 0.7 * throttle[1]
+    if ALL:  # else the response alone, which would be wrong with the level map
+        level = Linearised("simulation-3", 0.0)
+        throttle = [margins_of_command(each.formation, 1, 2).gain for each in (descent, level)]
+        assert throttle[0] < 0.7 * throttle[1]
 
 
 def test_average_has_the_poles_of_the_product(turn):

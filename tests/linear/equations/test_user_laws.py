@@ -378,8 +378,9 @@ def test_message_delay_of_a_law_is_that_of_flights(laws, straight, monkeypatch):
     [margin] = delay_margins(straight.maps, later)
     assert margin.followers == ("uav1", "uav2", "uav3")
     assert 0.3 < margin.delay_s < 0.9
-    assert flown_rate(laws["mean"], 0.92 * margin.delay_s) < 0.98
-    assert flown_rate(laws["mean"], 1.08 * margin.delay_s) > 1.02
+    if ALL:  # else the margin of the built-in law is compared with flights: test_delay_margin
+        assert flown_rate(laws["mean"], 0.92 * margin.delay_s) < 0.98
+        assert flown_rate(laws["mean"], 1.08 * margin.delay_s) > 1.02
     # as for a law that extrapolates from the time of receipt, the default of the built-in one
     [wrong] = delay_margins(straight.maps)
     assert wrong.delay_s > 1.2 * margin.delay_s

@@ -5,6 +5,7 @@ What damage does to a frame is in tests/mavlink/equations/test_follow_target.py.
 
 import numpy as np
 import pytest
+from cases import ALL
 from places import TESTS
 
 import testbed
@@ -211,14 +212,16 @@ def radio_of(page):
 
 # a flight
 
+END_S = 12 if ALL else 6
+
 
 @pytest.fixture(scope="module")
 def run_metrics():
     def fly(*overrides):
         changes = (
-            "scenario.duration_s=12",
+            f"scenario.duration_s={END_S}",
             "scenario.published=null",
-            "scenario.windows={all: [2, 12]}",
+            f"scenario.windows={{all: [2, {END_S}]}}",
             *overrides,
         )
         run = testbed.run("simulation-3", changes, write=False)
@@ -242,9 +245,9 @@ def test_undetected_errors_do_not_stop_a_flight(run_metrics, monkeypatch):
 
     monkeypatch.setattr(radios, "FollowTarget", AcceptAll)
     changes = (
-        "scenario.duration_s=6",
+        f"scenario.duration_s={6 if ALL else 3}",
         "scenario.published=null",
-        "scenario.windows={all: [2, 6]}",
+        "scenario.windows={all: [2, 3]}",
         "network.encoding=follow-target",
         "network.corrupt={probability: 0.5, bits: 60}",
         "controller.extrapolate_from=timestamp",
