@@ -263,6 +263,7 @@ def test_table_has_the_statistics_of_the_arrays(tmp_path):
 
 @pytest.mark.parametrize("model", ["none", "coherent"])
 def test_table_fits_80_columns(model, tmp_path, monkeypatch):
+    monkeypatch.setattr("testbed.plan.air.make_field", partial(make_field, path_m=1000.0))
     words = ("air", "simulation-3", "--duration", "2", "--separation", "5", "--set")
     done = call_command(
         *words, f"{MODEL}={model}", "--json", "table.json", cwd=tmp_path, code=0, columns=80
@@ -270,7 +271,6 @@ def test_table_fits_80_columns(model, tmp_path, monkeypatch):
     check_snapshot(f"air_{model}", done.stdout)
     assert max(map(len, done.stdout.splitlines())) <= 80
     assert json.loads((tmp_path / "table.json").read_text())["separation_m"] == 5.0
-    monkeypatch.setattr("testbed.plan.air.make_field", partial(make_field, path_m=1000.0))
     narrow = call_command(*words, f"{MODEL}={model}", cwd=tmp_path, code=0, columns=60)
     assert "…" not in narrow.stdout
 
