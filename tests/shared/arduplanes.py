@@ -57,6 +57,8 @@ def binary(tmp_path, monkeypatch):
     monkeypatch.setenv("ARDUPLANE", str(program))
     monkeypatch.delenv("ARDUPLANE_STAND_IN", raising=False)
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "folders"))
+    # a stand-in that ignores SIGTERM, as ArduPlane does at times, is killed sooner
+    monkeypatch.setattr("testbed.ardupilot.sitl_process._GRACE_S", 0.2)
     monkeypatch.setenv("TMPDIR", str(tmp_path / "folders"))
     yield program
     assert not running(), "a process is left"

@@ -3,6 +3,7 @@
 import hashlib
 import io
 import os
+import re
 import select
 import signal
 import socket
@@ -26,6 +27,7 @@ from arduplanes import (
     running,
 )
 from rich.console import Console
+from together import together
 from waiting import TIMEOUT_S, until
 
 from testbed.ardupilot.sitl_parameters import defaults_text
@@ -115,19 +117,19 @@ def rms(frames, begin, end):
 
 
 def test_elevon_aircraft_flies(binary):
-    frames = fly(make_scenario(3.0, "leader.aircraft=skywalker_x8"))
+    frames = fly(make_scenario(2.0, "leader.aircraft=skywalker_x8"))
     assert abs(frames[-1].truth.euler[0, 0]) < np.radians(10)
     assert frames[-1].truth.position_ned[0, 2] == pytest.approx(-100.0, abs=5.0)
 
 
 def test_32_outputs_and_overrides_fly_the_same(binary, monkeypatch):
-    plain = fly(make_scenario(3.0))[-1].truth
+    plain = fly(make_scenario(2.0))[-1].truth
     monkeypatch.setenv("ARDUPLANE_STAND_IN", "outputs32 ignores-rc")
-    events, _ = fly_level(make_scenario(0.1))
-    assert any("RC_CHANNELS_OVERRIDE" in event.text for event in events)
-    other = fly(make_scenario(3.0))[-1].truth
+    frames = fly(make_scenario(2.0))
+    events = [each.text for frame in frames for each in frame.events]
+    assert any("RC_CHANNELS_OVERRIDE" in each for each in events)
     # overrides arrive an autopilot period or two later, at 22 m/s
-    np.testing.assert_allclose(other.position_ned, plain.position_ned, atol=0.5)
+    np.testing.assert_allclose(frames[-1].truth.position_ned, plain.position_ned, atol=0.5)
 
 
 def test_faults_act_behind_the_servo_outputs(binary):
@@ -212,13 +214,19 @@ study: {schema: 1, name: planes, scenario: two.yaml, duration_s: 0.5, seeds: %s}
 
 
 def test_parallel_runs_take_free_instances(binary, tmp_path):
-    """Fly 3 runs of a study on 2 jobs; 8 runs if TESTBED_ARDUPLANE_WHOLE is set."""
-    runs = 8 if WHOLE else 3
+    """Two commands at once; 8 runs of a study on 2 jobs if TESTBED_ARDUPLANE_WHOLE is set."""
     (tmp_path / "two.yaml").write_text(SCENARIO.replace("path:", "autopilot: ardupilot\n  path:"))
-    (tmp_path / "planes.yaml").write_text(STUDY % list(range(1, runs + 1)))
+    if not WHOLE:
+        command = ["testbed", "run", "two.yaml", "--duration", "0.5", "--json"]
+        [done] = together(tmp_path, [[*command, "--out", name] for name in ("a", "b")])
+        assert [each.code for each in done] == [0, 0], done
+        taken = [re.search(r"by instance (\d+)", each.stderr)[1] for each in done]
+        assert taken[0] != taken[1]
+        return
+    (tmp_path / "planes.yaml").write_text(STUDY % [*range(1, 9)])
     sweep(tmp_path / "planes.yaml", tmp_path / "planes.parquet", jobs=2)
     outcomes = read_table(tmp_path / "planes.parquet").columns["outcome"]
-    assert outcomes.tolist() == ["completed"] * runs
+    assert outcomes.tolist() == ["completed"] * 8
 
 
 def test_announced_instance_is_a_free_one(binary, tmp_path):
