@@ -236,12 +236,15 @@ def test_fit_is_written_as_an_aircraft(commands, setup, tmp_path, monkeypatch):
     if not ALL:
         traits = jsbsim_adapter._find_traits(RASCAL)
         monkeypatch.setattr(jsbsim_adapter._find_traits, "_function", lambda folder: traits)
-    copy_with_factors(RASCAL, tmp_path / "true", {"aileron": 0.8})
+    # of factors that test_airframe_fit.py has, too, so that their model is compiled once
+    base = tmp_path / "base"
+    copy_with_factors(RASCAL, base, {"drag": 1.0, "aileron": 1.0, "elevator": 1.0})
+    copy_with_factors(base, tmp_path / "true", {"aileron": 0.8})
     late = replace(setup, timing=AutopilotTiming(command_latency=0.06))
     commands = replace(commands, values=commands.values[:750])  # 30 s
     write_response(tmp_path / "flight.csv", commands, fly(tmp_path / "true", commands, late))
     options = ("--fit", "aileron,latency", "--write", tmp_path / "fitted")
-    done = call("rascal110", tmp_path / "flight.csv", *options, "--json", tmp_path / "fit.json")
+    done = call(base, tmp_path / "flight.csv", *options, "--json", tmp_path / "fit.json")
     assert done.exit_code == 0, done.output
     found = json.loads((tmp_path / "fit.json").read_text())["fit"]["parameters"]
     assert found["aileron"]["value"] == pytest.approx(0.8, abs=0.005)
@@ -251,7 +254,7 @@ def test_fit_is_written_as_an_aircraft(commands, setup, tmp_path, monkeypatch):
     assert "command_latency_s: 0.04" in source
     again = call(tmp_path / "fitted", tmp_path / "flight.csv", "--latency", "0.06")
     assert "no difference that points to" in again.stdout
-    unfitted = call("rascal110", tmp_path / "flight.csv")  # negative control
+    unfitted = call(base, tmp_path / "flight.csv")  # negative control
     assert "the recorded aileron moves 1.17" in unfitted.stdout
 
 

@@ -4,11 +4,13 @@ import re
 import shutil
 
 import pytest
+from cases import ALL
 
 import testbed
 from testbed.cli.new import describe_engine
 from testbed.compiled import CompiledAircraft, compiled_fleet
 from testbed.compiled.compiled_fleet import find_engine, find_engines, untranslated
+from testbed.compiled.proof import Proof
 from testbed.core.errors import InputError
 from testbed.linear.steady_flight import build_compiled, steady_scenario
 from testbed.plan.world import build
@@ -65,6 +67,8 @@ LIMITED = {
 def odd_and_large(statements):
     """Functions with a table of one row, and lists and tables beyond the 200 that Python can nest.
 
+    In test_engine_powers.py they are compiled.
+
     Args:
         statements: number of elements of the lists that are a statement each, or two.
     """
@@ -80,20 +84,13 @@ def odd_and_large(statements):
     ]
 
 
-AT_THE_START = odd_and_large(8), LIMITED["at the start"]
-
-
-def test_odd_and_large_elements_are_compiled(tmp_path):
-    """Source of full length is parsed; that of which each statement costs time is compiled."""
-    for name in ("long", "short"):
-        (tmp_path / name).mkdir()
-    long = make(tmp_path / "long", odd_and_large(210))
+def test_long_elements_are_translated(tmp_path):
+    """Their source is parsed; short ones are compiled and flown in test_engine_powers.py."""
+    long = make(tmp_path, odd_and_large(210))
     source = CompiledAircraft(long, load(long, RATE_HZ)).source
     assert min(source.count("least("), source.count("chosen(")) >= 210
     compile(source, "source", "exec")
     assert len(source) < 100_000
-    engine = find_engine(make(tmp_path / "short", *AT_THE_START), RATE_HZ)
-    assert engine.compiled is not None, engine.reasons
 
 
 TOO_LARGE = {
@@ -148,10 +145,12 @@ def test_all_reasons_are_named_at_once(tmp_path):
 
 @pytest.mark.parametrize("where", LIMITED)
 def test_components_at_a_limit_are_flown_by_jsbsim(tmp_path, monkeypatch, where):
-    """The proof places before it runs; what is compiled for the other is that of a test above."""
-    if where == "in the proof":
+    """The proof places before it runs, and so does a fleet, so in `make test` nothing is compiled."""
+    if where == "in the proof" or not ALL:
         monkeypatch.setattr(compiled_fleet, "prepare", lambda *_: None)
-    kite = make(tmp_path, *(AT_THE_START if where == "at the start" else ((), LIMITED[where])))
+    if where == "at the start" and not ALL:
+        monkeypatch.setattr(compiled_fleet, "prove_aircraft", lambda *_: Proof(1))
+    kite = make(tmp_path, (), LIMITED[where])
     assert (find_engine(kite, RATE_HZ).compiled is None) == (where == "in the proof")
     run = fly(kite)
     assert (run.metrics["engine"], run.outcome) == ("jsbsim", "completed")

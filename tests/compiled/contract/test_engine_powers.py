@@ -1,7 +1,8 @@
 """Aircraft with powers of literals in drag, moments, gains and filters: both engines fly the same.
 
 LLVM replaces some of these powers by other functions, which differ in the last bit. The aircraft
-has limits of a stall's hysteresis, too, as compiling another one takes seconds. A sample of 2 s of
+has limits of a stall's hysteresis, and odd and large functions, too, as compiling another one takes
+seconds. A sample of 2 s of
 one aircraft; 120 s of both with TESTBED_ENGINES=1.
 """
 
@@ -14,6 +15,7 @@ import pytest
 from cases import ALL
 from run_flight import Collector
 from test_engine import assert_equal
+from test_engine_fallback import odd_and_large
 
 import testbed
 from testbed.compiled import CompiledAircraft
@@ -62,7 +64,7 @@ WAYPOINT = (
 
 
 def make(folder, base, *, glider=False):
-    """Copy an aircraft, with powers in its drag, moments, a gain and a filter, and with limits."""
+    """Copy an aircraft, with powers in drag, moments, a gain and a filter, with limits and more."""
     made = folder / f"{base}_pow"
     shutil.copytree(library() / "aircraft" / base, made)
     file = (made / f"{base}.xml").rename(made / f"{base}_pow.xml")
@@ -77,7 +79,8 @@ def make(folder, base, *, glider=False):
         assert text.count(f'<axis name="{axis}">') == 1
         text = text.replace(f'<axis name="{axis}">', term(axis, each))
     way = f'<function name="guidance/wp-distance">{WAYPOINT}</function>'
-    text = text.replace('<axis name="DRAG">', f'{LIMITS}{way}<axis name="DRAG">', 1)
+    odd = (f'<function name="made/f{k}">{t}</function>' for k, t in enumerate(odd_and_large(8)))
+    text = text.replace('<axis name="DRAG">', f'{LIMITS}{way}{"".join(odd)}<axis name="DRAG">', 1)
     assert text.count("<aerodynamics>") == 1
     text = text.replace("<aerodynamics>", f"{SYSTEM}<aerodynamics>")
     if glider:
