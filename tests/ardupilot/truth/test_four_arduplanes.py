@@ -10,8 +10,8 @@ from cases import some
 from places import ROOT
 
 WHOLE = os.environ.get("TESTBED_ARDUPLANE_WHOLE")
-# the first two laps; make check-all flies the laps with climbs and the circles too
-END_S = 1080.0 if WHOLE else 322.5
+# the first lap and a part of the second; make check-all flies the climbs and the circles too
+END_S = 1080.0 if WHOLE else 220.0
 PULSES_END_S = END_S if WHOLE else 160.0
 
 

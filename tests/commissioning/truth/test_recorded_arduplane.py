@@ -167,9 +167,9 @@ def test_servo_travel_matters(recording: Path, tmp_path: Path) -> None:
     assert _rms_deg(tmp_path / "out.csv", "phi_rad") > 0.8
 
 
-def test_replay_needs_four_columns(tmp_path: Path) -> None:
+def test_replay_needs_four_columns(recording: Path, tmp_path: Path) -> None:
     commands = tmp_path / "commands.csv"
-    rows = [line.split(",")[:4] for line in RECORDING.read_text().splitlines()]
+    rows = [line.split(",")[:4] for line in recording.read_text().splitlines()]
     commands.write_text("\n".join(",".join(row) for row in rows) + "\n")
     fly_recorded(RASCAL, commands, tmp_path / "out.csv")
     # It starts 1.3 m/s slower than the recording, which affects the first seconds.

@@ -145,7 +145,7 @@ def test_all_reasons_are_named_at_once(tmp_path):
 
 @pytest.mark.parametrize("where", LIMITED)
 def test_components_at_a_limit_are_flown_by_jsbsim(tmp_path, monkeypatch, where):
-    """The proof places before it runs, and so does a fleet, so in `make test` nothing is compiled."""
+    """The proof places before it runs, and so does a fleet: `make test` compiles nothing."""
     if where == "in the proof" or not ALL:
         monkeypatch.setattr(compiled_fleet, "prepare", lambda *_: None)
     if where == "at the start" and not ALL:

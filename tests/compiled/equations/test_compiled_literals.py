@@ -54,7 +54,7 @@ def test_functions_equal_jsbsim(tmp_path):
     """With NaN, infinities, both zeros, denormals and breakpoints among the arguments."""
     made = functions()
     simple = [name for name in made if name.split()[0] in PLAIN.split() and " at " in name]
-    left_out = set(simple) - set(sampled(simple, 20))
+    left_out = set(simple) - set(sampled(simple, 40))
     arguments, compared = arguments_of(COUNT, special=True), 0
     for number, part in enumerate(parts({k: v for k, v in made.items() if k not in left_out})):
         both = Both(tmp_path / str(number), part, [])
@@ -80,7 +80,7 @@ def test_all_functions_of_the_translator_are_compared():
 def test_components_equal_jsbsim(tmp_path):
     """One after the other in time, and filters keep their states."""
     made = components()
-    chosen = made[: len(OWN_COMPONENTS)] + sampled(made[len(OWN_COMPONENTS) :], 12)
+    chosen = made[: len(OWN_COMPONENTS)] + sampled(made[len(OWN_COMPONENTS) :], 24)
     both = Both(tmp_path, {}, chosen)
     arguments = arguments_of(COUNT, special=False)
     arguments[:, 0] = np.clip(arguments[:, 0], -1e6, 1e6)  # states stay where they are exact

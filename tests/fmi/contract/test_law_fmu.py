@@ -19,7 +19,7 @@ from testbed.plan.world import build
 from testbed.pool.flight_task import FlightTask, run_task
 from testbed.scenario import load_scenario, set_duration
 
-DURATION_S = float(os.environ.get("TESTBED_FMU_FLIGHT_S", "30"))
+DURATION_S = float(os.environ.get("TESTBED_FMU_FLIGHT_S", "12"))
 SCENARIO = """
 extends: own-law-leader-follower
 scenario: {{name: {name}}}
@@ -218,7 +218,7 @@ def test_new_fmu_law_builds_and_flies(tmp_path):
     laws = {each: load_scenario(places[each] / "mine/mine.yaml") for each in places}
     assert [Path(each.controller.law).suffix for each in laws.values()] == [".fmu", ".py:mine"]
     errors = [
-        testbed.run(each, duration_s=20.0, write=False).metrics["max_error_m"]
+        testbed.run(each, duration_s=10.0, write=False).metrics["max_error_m"]
         for each in laws.values()
     ]
     assert errors[0] == pytest.approx(errors[1], abs=1e-6)
