@@ -19,7 +19,7 @@ from testbed.plan.world import build
 from testbed.pool.flight_task import FlightTask, run_task
 from testbed.scenario import load_scenario, set_duration
 
-DURATION_S = float(os.environ.get("TESTBED_FMU_FLIGHT_S", "12"))
+DURATION_S = float(os.environ.get("TESTBED_FMU_FLIGHT_S", "30"))
 SCENARIO = """
 extends: own-law-leader-follower
 scenario: {{name: {name}}}
