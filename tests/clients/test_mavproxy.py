@@ -5,6 +5,7 @@ import time
 from collections import Counter
 
 import numpy as np
+from cases import ALL
 from external_run import event_texts, free_port, start_run
 from mavlink_client import COMPONENT, SYSTEM, MavlinkClient
 from mavproxy import start_mavproxy
@@ -41,9 +42,10 @@ def test_mavproxy_parameters_mission_and_modes(tmp_path):
         ground.see("RLL_RATE_P 0.12 (was 0.944)")
         ground.type("param show RLL_RATE_P")
         ground.see("RLL_RATE_P       0.1199999")
-        ground.type("param set AIRSPEED_MIN 99")
-        ground.see("AP: AIRSPEED_MAX (30) must be greater than AIRSPEED_MIN (99)")
-        ground.see("Failed to set AIRSPEED_MIN to 99")
+        if ALL:  # it tries for 3 s; tests/mavlink has what a vehicle answers
+            ground.type("param set AIRSPEED_MIN 99")
+            ground.see("AP: AIRSPEED_MAX (30) must be greater than AIRSPEED_MIN (99)")
+            ground.see("Failed to set AIRSPEED_MIN to 99")
         ground.type(f"wp load {way}")
         ground.see("Got MISSION_ACK: TYPE_MISSION: ACCEPTED")
         ground.type("wp list")

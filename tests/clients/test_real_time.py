@@ -5,11 +5,12 @@ import time
 
 import numpy as np
 import pytest
+from cases import ALL
 from external_run import start_run
 from mavlink_client import MavlinkClient
 
 QUIET = bool(os.environ.get("TESTBED_QUIET"))
-SECONDS = 20.0 if QUIET else 8.0
+SECONDS = 20.0 if QUIET else 8.0 if ALL else 4.0
 
 
 def timed(folder):

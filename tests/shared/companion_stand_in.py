@@ -149,8 +149,8 @@ class StandIn:
     def engage(self):
         """Switch until the companion commands."""
         for _ in range(20):
-            self.mode = FBWA
-            self.fly(0.7)
+            self.mode, heard = FBWA, len(self.texts)
+            self.fly(1, lambda: "formation ready" in "".join(self.texts[heard:]))  # noqa: B023
             before = len(self.attitudes)
             self.mode = GUIDED
             if self.fly(0.7, lambda: len(self.attitudes) > before + 5):  # noqa: B023
@@ -338,7 +338,7 @@ class StandIn:
         elif message.name == "STATUSTEXT":
             self.texts.append(re.sub(r"\0.*", "", fields["text"]))
         elif message.name == "PARAM_REQUEST_READ" and not self.silent:
-            self._answer_parameter(fields["param_id"])
+            self._send_parameters()
         elif message.name == "COMMAND_LONG" and fields["command"] == SET_MODE:
             self.modes.append(int(fields["param2"]))
             if self.obeys:
@@ -348,14 +348,15 @@ class StandIn:
         elif message.name == "SET_MODE":
             self.modes.append(fields["custom_mode"])
 
-    def _answer_parameter(self, name):
-        if name in self.parameters:
+    def _send_parameters(self):
+        """Send all, as where a ground station reads them too: asked one by one they take 2 s."""
+        for name, value in self.parameters.items():
             frame = self._codecs[NAME].pack(
                 "PARAM_VALUE",
                 param_id=name,
-                param_value=self.parameters[name],
+                param_value=value,
                 param_type=9,
-                param_count=1,
-                param_index=0,  # noqa: E501
+                param_count=len(self.parameters),
+                param_index=0,
             )
             self._sockets[NAME].sendto(frame, ("127.0.0.1", self.ports[0]))

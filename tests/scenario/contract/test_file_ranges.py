@@ -3,6 +3,7 @@
 import ast
 import csv
 import math
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -28,9 +29,14 @@ PACKAGE = Path(testbed.__file__).parent
 ROWS = 5
 
 
+@cache
+def schema_of(section):
+    return section.model_json_schema()
+
+
 def schema_bounds(section, path):
     """Return (minimum, maximum) of all numbers of a key, by the JSON schema of its section."""
-    schema = section.model_json_schema()
+    schema = schema_of(section)
 
     def resolved(node):
         while "$ref" in node:
