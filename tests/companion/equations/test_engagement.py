@@ -33,7 +33,7 @@ from testbed.mavlink.outgoing import TEXT_BYTES
 from testbed.scenario.companion_flight import CompanionFlight
 
 LOOPBACK = dataclasses.replace(LIMITS, reaches_aircraft=False)
-SEQUENCES = int(os.environ.get("TESTBED_ENGAGEMENTS", "40"))
+SEQUENCES = int(os.environ.get("TESTBED_ENGAGEMENTS", "20"))
 RTL = 11
 CASES = [(reason, number) for reason, every in BREAKS.items() for number in range(len(every))]
 # in `make test` one way of each reason: all of them leave an engagement, by the same checks
@@ -445,7 +445,7 @@ MUTANTS = (
 def test_rules_find_a_wrong_machine(machine):
     """Control: each rule is broken by a machine that lacks it."""
     with pytest.raises(AssertionError):
-        for seed in range(SEQUENCES):
+        for seed in range(max(SEQUENCES, 40)):
             check_rules(machine(LIMITS), drawn(seed))
 
 

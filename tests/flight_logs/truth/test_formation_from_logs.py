@@ -28,6 +28,7 @@ from testbed.flight_logs.tracks import read_tracks
 from testbed.guidance.recorded_path import read_recording, sample_recording
 from testbed.logs.read import read_log
 from testbed.mavlink.codec import decode
+from testbed.reports import figures
 from testbed.runs.external_options import ExternalOptions
 from testbed.views.scene import overlay_scenes, scene_of
 
@@ -187,7 +188,7 @@ def test_formation_errors_by_another_route(formations):
         assert rms[name] == pytest.approx(other, rel=0.03)
 
 
-def test_formation_log_is_that_of_a_run(formations, flight):
+def test_formation_log_is_that_of_a_run(formations, flight, monkeypatch):
     log = read_log(formations / "bin" / "run.mcap")
     assert log.finished and log.info.names == NAMES and log.info.origin == NedOrigin(**ORIGIN)
     assert log.info.start_unix_ns == 1_777_627_800_000_000_000
@@ -196,6 +197,7 @@ def test_formation_log_is_that_of_a_run(formations, flight):
     assert roll.max() < 1e-5
     assert np.abs(log.surfaces.aileron - flight.surfaces.aileron).max() < 1e-3 + 1e-9
     assert np.isnan(log.air.wind_ned).all()
+    monkeypatch.setattr(figures, "MAKERS", ())  # drawing takes seconds
     invoke(formations, "report", formations / "bin", "--out", formations / "bin.html")
     assert "Real aircraft flew this run" in (formations / "bin.html").read_text()
     exported = ("--format", "npz", "--out", formations / "bin.npz")

@@ -27,8 +27,8 @@ MAGIC, CHUNK = 8, 6  # bytes of MCAP's magic, and the opcode of a chunk
 HEAD = struct.Struct("<BQ")  # of a record: opcode, and length of the rest
 CUTS = int(os.environ.get("TESTBED_CUTS", "2"))
 CHANGES = [
-    "scenario.duration_s=30",
-    "scenario.windows={early: [5, 12], late: [12, 30]}",
+    "scenario.duration_s=14",
+    "scenario.windows={early: [3, 7], late: [7, 14]}",
     "scenario.published=null",
     "network.loss=0.1",
 ]
@@ -39,7 +39,7 @@ def whole(tmp_path_factory):
     """The directory of a completed run."""
     out = tmp_path_factory.mktemp("whole") / "run"
     scenario = load_scenario(
-        "simulation-3", [*CHANGES, "network.transmitter_off_s={leader: [[6, 9]]}"]
+        "simulation-3", [*CHANGES, "network.transmitter_off_s={leader: [[3, 5]]}"]
     )
     testbed.run(scenario, out=out)
     return out

@@ -14,6 +14,7 @@ from commands import SEVERAL, call_command, environment
 
 from testbed.mavlink.udp_endpoint import Endpoint, parse_address
 from testbed.pool.dask_workers import cluster_notices
+from testbed.reports import figures
 from testbed.runs.external_options import ExternalOptions, announcements
 from testbed.scenario import load_scenario
 from testbed.views import LiveViewer, viewer
@@ -95,6 +96,7 @@ def test_flight_needs_no_network(tmp_path, monkeypatch):
     assert re.findall(r"^exit (\d+)", done.stderr, re.M) == ["0"] * len(commands), done.stderr
     monkeypatch.setitem(globals(), "used", [])
     if not ALL:
+        monkeypatch.setattr(figures, "MAKERS", figures.MAKERS[:1])  # drawing all takes seconds
         for each in files:
             call_command(*each.split(), cwd=tmp_path, code=0, columns=80)
     assert used == []

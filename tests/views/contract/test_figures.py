@@ -10,6 +10,7 @@ import sys
 import matplotlib
 import numpy as np
 import pytest
+from cases import in_full
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from places import ROOT
 from waiting import TIMEOUT_S
@@ -201,7 +202,10 @@ toolbar: None
 USERS = {
     "hostile": (
         HOSTILE + "backend: TkAgg",
-        {"MATPLOTLIBRC": "matplotlibrc", "MPLBACKEND": "nonsense"},
+        {
+            **{"MATPLOTLIBRC": "matplotlibrc", "MPLBACKEND": "nonsense"},
+            **{"TZ": "Asia/Kathmandu", "FORCE_COLOR": "1"},
+        },
     ),
     "damaged": (
         "\0nothing: [",
@@ -222,7 +226,7 @@ def plain(tmp_path_factory):
     return out.getvalue().split()[0]
 
 
-@pytest.mark.parametrize("name", USERS)
+@pytest.mark.parametrize("name", ["hostile", pytest.param("damaged", marks=in_full)])
 def test_settings_of_the_user_change_no_byte(name, plain, tmp_path):
     """Neither of a file and of variables, nor of the place, nor is the file's setting lost."""
     settings, variables = USERS[name]

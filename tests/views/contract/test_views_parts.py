@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import views_flight
+from cases import in_full
 from reference.formation_barrier import h
 
 from testbed.core.errors import InputError
@@ -454,7 +455,7 @@ def out_of_sight(still, batch, *, pieces=100):
     return missing
 
 
-@pytest.mark.parametrize("aircraft", [1, 2, 4, 20, 100])
+@pytest.mark.parametrize("aircraft", [1, 2, 4, 20, pytest.param(100, marks=in_full)])
 def test_cameras_show_every_flying_aircraft(aircraft):
     still, batch = scene(aircraft), flight(aircraft, 20.0)
     assert out_of_sight(still, batch) == 0
