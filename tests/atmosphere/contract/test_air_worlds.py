@@ -83,7 +83,12 @@ def test_air_is_independent_of_the_elevation(model):
             "simulation-3", [*AIRS[model], f"scenario.origin.elevation_m={elevation}"]
         )
         course = ProbePath(
-            rate_hz=50.0, duration_s=5.0, airspeed=22.0, course=0.3, height=150.0, separation=None
+            rate_hz=50.0,
+            duration_s=1.0 + SECONDS,
+            airspeed=22.0,
+            course=0.3,
+            height=150.0,
+            separation=None,
         )
         return fly_probes(page, course)
 

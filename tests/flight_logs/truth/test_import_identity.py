@@ -31,7 +31,7 @@ from testbed.core.errors import InputError
 from testbed.flight_logs.flight_import import read_flight
 
 FLIGHT = recorded()
-LOGS = int(os.environ.get("TESTBED_IMPORTS", "20"))
+LOGS = int(os.environ.get("TESTBED_IMPORTS", "12"))
 SEED = 20261126
 ROWS = 120  # of a flight, 25 per second
 MODE = b"\xa3\x95" + bytes([FORMATS["MODE"][0]])

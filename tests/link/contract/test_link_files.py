@@ -129,7 +129,7 @@ def test_a_link_is_that_of_a_whole_flight():
     assert own["sent"] >= 2500 and own["delay_s"]["max"] > 0.1
 
 
-MUTATIONS = int(os.environ.get("TESTBED_LINK_NOISE", "300"))
+MUTATIONS = int(os.environ.get("TESTBED_LINK_NOISE", "150"))
 
 
 def test_a_mutated_file_is_used_or_is_one_error(tmp_path):

@@ -10,7 +10,7 @@ from frame_damage import broken
 from testbed.mavlink.codec import Codec
 from testbed.mavlink.signing import Signing
 
-FRAMES = int(os.environ.get("TESTBED_FRAMES", "10000"))
+FRAMES = int(os.environ.get("TESTBED_FRAMES", "5000"))
 SEED = 20261121
 MAX_FRAME_BYTES = 280  # bytes of a frame with its signature
 KEY = bytes(range(32))

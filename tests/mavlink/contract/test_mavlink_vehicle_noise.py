@@ -20,7 +20,7 @@ from testbed.mavlink.udp_endpoint import MAX_DATAGRAMS, Address
 from testbed.mavlink.vehicle import MavlinkVehicle
 from testbed.mavlink.vehicle_control import FlightMode, MissionItem
 
-FRAMES = int(os.environ.get("TESTBED_FRAMES", "10000"))
+FRAMES = int(os.environ.get("TESTBED_FRAMES", "5000"))
 SEED = 20261122
 # A 16-bit checksum passes one broken frame in 65536: this many may be accepted.
 COINCIDENCES = 2 + FRAMES // 10000
