@@ -130,8 +130,8 @@ async def main(url):
         east = (here.longitude_deg - LONGITUDE_DEG) / EAST_DEG
         items = [
             item(0, WAYPOINT, 0.0, 0.0, 0.0),
-            item(1, WAYPOINT, north, east + 300.0, 100.0),
-            item(2, WAYPOINT, north + 300.0, east + 300.0, 120.0),
+            item(1, WAYPOINT, north, east + 200.0, 100.0),
+            item(2, WAYPOINT, north + 300.0, east + 200.0, 120.0),
             item(3, UNLIMITED, north + 600.0, east, 110.0),
         ]
         await mission.upload_mission(items)
@@ -154,7 +154,7 @@ async def main(url):
         await mission.start_mission()
         mode = await until(telemetry.subscribe_flight_mode(), lambda m: m.name == "MISSION")
         report("mode", name=mode.name)
-        target = position(north, east + 300.0)
+        target = position(north, east + 200.0)
         progress = await until(mission.subscribe_mission_progress(), lambda p: p.current >= 2)
         at = await until(telemetry.subscribe_position(), lambda p: True)
         report(

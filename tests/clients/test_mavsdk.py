@@ -72,7 +72,7 @@ def test_mavsdk_commands_a_formation(tmp_path):
     auto = (at > started["mode AUTO"]) & (at < started["mode GUIDED"])
     north, east = first["mission"]["begun_at_m"]
     position = np.array([frame.truth.position_ned[0] for frame in frames])[auto]
-    missed = np.hypot(position[:, 0] - north, position[:, 1] - east - 300.0)
+    missed = np.hypot(position[:, 0] - north, position[:, 1] - east - 200.0)
     assert missed[0] > 150.0 and missed.min() < RADIUS_M
     held = (at > started["mode GUIDED"]) & (at < started["receives commands again"])
     roll = np.array([frame.command.roll[0] for frame in frames])[held]
