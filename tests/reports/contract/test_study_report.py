@@ -11,6 +11,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from cases import in_full
 from commands import call_command, refuse_all
 from matplotlib.figure import Figure
 from report_pages import CHROMIUM, NEEDS_CHROMIUM, browse, stands_alone
@@ -475,6 +476,7 @@ def test_bad_input_error_has_the_remedy(tmp_path):
     refuse_all("study_report", tmp_path)
 
 
+@in_full  # that of test_report.py shows figures of the same kind
 @pytest.mark.skipif(CHROMIUM is None, reason=NEEDS_CHROMIUM)
 def test_browser_shows_every_figure_without_errors(made, tmp_path):
     assert len(browse(made[1], tmp_path)) == 4
