@@ -8,8 +8,10 @@ import pytest
 from cases import ALL, some
 from run_flight import Collector
 
+from testbed.atmosphere.turbulence_field import make_field
 from testbed.core.errors import InputError
 from testbed.core.records import AIRCRAFT, allocate
+from testbed.plan import air
 from testbed.plan.air import build_air, build_mean_wind
 from testbed.plan.world import build
 from testbed.probes.air_probe import ProbePath, fly_probes
@@ -28,6 +30,22 @@ AIRS = {
     "recorded": ["air.wind={file: gusty-wind.csv}"],
     "gusts": ["air.gusts=[{kind: time, name: puff, velocity_mps: [1, 0, -2], at_s: 1, ramp_s: 1}]"],
 }
+
+
+@pytest.fixture(scope="module", autouse=True)
+def fields():
+    """In `make test` equal fields are made once: they take longer than a flight in them."""
+    made = {}
+
+    def make_once(seed, sigma, length, **options):
+        key = seed, *sigma, *length, *options.items()
+        if key not in made or ALL:
+            made[key] = make_field(seed, sigma, length, **options)
+        return made[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(air, "make_field", make_once)
+        yield
 
 
 class Watcher(Collector):
@@ -61,8 +79,7 @@ def test_air_still_or_steady_is_not_simulated():
 
 @pytest.mark.parametrize("name", some(AIRS, 4))
 def test_air_is_independent_of_the_log_rate(name):
-    air = AIRS[name]
-    often, seldom = fly(*air, "rates.log_hz=50"), fly(*air, "rates.log_hz=10")
+    often, seldom = (fly(*AIRS[name], f"rates.log_hz={rate}") for rate in (50, 10))
     for each in often.info.names:
         assert np.array_equal(often.position(each)[::5], seldom.position(each))
     assert often.wind("uav1").any()
