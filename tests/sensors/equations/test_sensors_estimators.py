@@ -341,7 +341,7 @@ def test_without_gps_the_velocity_of_a_filter_is_worse():
 
 
 def test_filters_have_settled_at_the_start():
-    """Straight on, errors of 150 aircraft at first are as large as after another minute.
+    """Straight on, errors of 60 aircraft, or 150, at first are as large as after another minute.
 
     Own errors only, so that aircraft are independent; Fisher's test of two variances.
     """
@@ -352,7 +352,7 @@ def test_filters_have_settled_at_the_start():
         gyro={"bias_time_constant_s": 10.0},
         accelerometer={"bias_time_constant_s": 10.0},
     )
-    n = 150
+    n = 150 if ALL else 60
     flight = make_flight(HZ, (60, 0, 0))
     seen = wrong(fly(make([own] * n, flight=flight), n, flight=flight), flight)
     for name in ("position_ned", "velocity_ned", "euler"):
@@ -364,7 +364,7 @@ def test_filters_have_settled_at_the_start():
 
 
 def test_errors_of_the_pixhawk_preset():
-    """Straights and circles of 120 m, 30 aircraft: root mean squares over all of them.
+    """Straights and circles of 120 m, 12 aircraft or 30: root mean squares over all of them.
 
     The horizontal error is the common drift of 1.3 m on each axis, over as long as it takes to
     change: another seed's may be half or twice as large, and so may the height's. It is no error
@@ -372,7 +372,7 @@ def test_errors_of_the_pixhawk_preset():
     """
     legs = [(60, 0, 0), (60, 1, 0), (60, 0, 0), (60, -1, 0)] * 3
     flight = make_flight(25, *legs[: 10 if ALL else 4])
-    n = 30
+    n = 30 if ALL else 12
     seen = wrong(fly(make([PIXHAWK] * n, flight=flight), n, flight=flight), flight)
 
     def size(errors):
