@@ -7,6 +7,7 @@ wrote, for tests with arrays of agents and for comparisons with the reference.
 from __future__ import annotations
 
 from dataclasses import fields
+from functools import lru_cache
 from math import inf, nan
 
 import numpy as np
@@ -57,7 +58,18 @@ _RENAMED = {"row": "agents"}  # fields of LAW that the reference calls otherwise
 
 def _dense(array, *shape):
     """Broadcast to a contiguous array of floats of its own."""
-    return np.broadcast_to(np.asarray(array, dtype=float), shape).copy()
+    out = np.empty(shape)
+    out[...] = array
+    return out
+
+
+@lru_cache(maxsize=8)
+def _scratch(function, dtype, *shape):
+    """Records for calls of a function, each of which writes the same fields; others are zero.
+
+    An integration makes thousands of calls, and those of LAW are 33 kB each: they have tables.
+    """
+    return allocate(dtype, *shape)
 
 
 # whole steps
@@ -355,7 +367,8 @@ def _estimate(law, links, memory, time_s, angles):
 def formation_error(own, own_slot, others, other_slots, gains):
     """As `formation_laws.formation_error`: slots as offsets in a frame that points north."""
     shape = gains.shape[:2]
-    neighbours, links, law = allocate(NEIGHBOUR, *shape), allocate(LINK, *shape), allocate(LAW, 1)
+    neighbours, links = (_scratch(formation_error, each, *shape) for each in (NEIGHBOUR, LINK))
+    law = _scratch(formation_error, LAW, 1)
     neighbours["gain"], neighbours["offset"] = gains, other_slots
     links["position_ned"] = others
     law["neighbour_timeout_s"] = inf
@@ -380,7 +393,7 @@ def _errors(law, own, own_slot, links, neighbours, out):
 def desired_velocity(v_g, a_g, chi_rate, chi_acceleration, xi, xi_rate, k, function, speeds):
     """As `formation_laws.desired_velocity`; S_d is applied here, as `hbh23` does."""
     n = len(k)
-    law, out = allocate(LAW, n), np.empty((n, 8))
+    law, out = _scratch(desired_velocity, LAW, n), np.empty((n, 8))
     law["k"] = k
     _write_tuples(law, function)
     vectors = np.stack([v_g, a_g, chi_rate, chi_acceleration, xi, xi_rate], axis=1)
@@ -416,7 +429,7 @@ def _desired(law, vectors, out):
 
 def speed_control(speed, desired, a, b, pole, barrier, speeds):
     """As `formation_laws.speed_control`."""
-    law, out = allocate(LAW, len(speed)), np.empty(len(speed))
+    law, out = _scratch(speed_control, LAW, len(speed)), np.empty(len(speed))
     law["a"], law["b"], law["speed_pole"] = a, b, pole
     _write_tuples(law, None, barrier, speeds)
     n = len(speed)

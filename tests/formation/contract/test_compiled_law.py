@@ -120,7 +120,10 @@ def cases(tmp_path_factory):
     folder = tmp_path_factory.mktemp("cases")
     indented = (each.replace("\n", "\n    ") for each in BODIES)
     body = "\n    ".join(f"if case == {k}:\n        {each}" for k, each in enumerate(indented, 1))
-    write(folder, body, text=HEAD.replace("roll=0.0", "angles, roll=0.0, case=0"))
+    gain = f"GAIN = float(np.loadtxt('{folder}/gain.txt'))\nCALM ="
+    (folder / "gain.txt").write_text("0.25")
+    text = HEAD.replace("CALM =", gain).replace("roll=0.0", "angles, roll=0.0, case=0")
+    write(folder, body, text=text)
     return folder
 
 
@@ -541,25 +544,26 @@ def kept(law):
     return set(cache_folder().glob(f"*step_law_{code_digest(law._kernel)[:32]}-*.code"))
 
 
-def test_changed_constant_is_compiled_again(tmp_path, configured):
+GAINED = case("roll = GAIN")
+
+
+def test_changed_constant_is_compiled_again(cases, configured):
     """A file that the law's file reads is no text of it."""
-    one = 0.1 + 1e-12 * (time.time_ns() % 10**9)  # of no run before
-    (tmp_path / "gain.txt").write_text(repr(one))
-    text = HEAD.replace("CALM =", f"GAIN = float(np.loadtxt('{tmp_path}/gain.txt'))\nCALM =")
-    name = write(tmp_path, "roll = GAIN", text=text)
 
     def command():
-        law, note = build_law(name, {}, *configured)
+        law, note = build_law(f"{cases}/mine.py:mine", options_of(GAINED), *configured)
         check_law(law, configured[0])
         assert "compiled for each run" not in note
         return law.command.fbwa.roll.tolist(), kept(law)
 
     roll, first = command()
-    assert roll == [one] * 3 and len(first) == 1
+    assert roll == [0.25] * 3 and len(first) == 1
     assert command() == (roll, first)
-    (tmp_path / "gain.txt").write_text(repr(one + 0.1))
+    other = 0.1 + 1e-12 * (time.time_ns() % 10**9)  # of no run before
+    (cases / "gain.txt").write_text(repr(other))
     roll, second = command()
-    assert roll == [one + 0.1] * 3 and len(second) == 1 and not second & first
+    (cases / "gain.txt").write_text("0.25")
+    assert roll == [other] * 3 and len(second) == 1 and not second & first
 
 
 def test_value_without_a_digest_is_named(tmp_path, configured):
