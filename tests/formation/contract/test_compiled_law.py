@@ -1,15 +1,15 @@
 """Laws of users under `@testbed.kernel`: equal to classes, their errors, and their machine code."""
 
+import inspect
 import re
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
 from commands import environment
-from places import ROOT, SHARED
+from places import ROOT
 from waiting import TIMEOUT_S
 
 import testbed
@@ -286,9 +286,11 @@ def end_of(path):
 
 def test_kernel_runs_as_python_in_a_debugger(chases):
     path = chases / "compiled_chase.yaml"
+    imports = "import testbed\nfrom testbed.scenario import load_scenario, set_duration\n"
+    text = f"{imports}{inspect.getsource(end_of)}print(end_of({str(path)!r}))"
     done = subprocess.run(
-        [sys.executable, "-c", f"import {__name__} as tests; print(tests.end_of({str(path)!r}))"],
-        env={**environment(80, SHARED, Path(__file__).parent), "NUMBA_DISABLE_JIT": "1"},
+        [sys.executable, "-c", text],
+        env={**environment(80), "NUMBA_DISABLE_JIT": "1"},
         capture_output=True,
         text=True,
         timeout=TIMEOUT_S,
