@@ -49,7 +49,7 @@ def trimmed(text):
     return [line.rstrip() for line in text.strip().splitlines()]
 
 
-@pytest.mark.parametrize("part", some(PARTS, 6))
+@pytest.mark.parametrize("part", some(PARTS, 3))
 def test_part_stands_alone(part, alone):
     """In an empty folder its README's snippet prints the pasted output; its names exist."""
     (snippet,) = SNIPPET.findall(readme(part))

@@ -5,6 +5,7 @@ import json
 import re
 import shutil
 import subprocess
+from functools import cache
 from importlib.metadata import distribution, distributions, version
 from pathlib import Path
 
@@ -185,13 +186,18 @@ def test_release_pins_are_the_runtime_packages(release):
     assert not plain & {"rerun-sdk", "pyarrow", "matplotlib", "pymavlink", "cma", "pandas"}
 
 
-def made(release, installed=None, pinned=None):
-    locked, bill = release("locked"), release("bill")
+@cache
+def needed():
+    """Packages of the lock that run here, and which needs which."""
+    locked = importlib.import_module("locked")
     here = locked.here()
-    pinned = pinned or locked.running_pins(here)
+    return locked.running_pins(here), locked.needed(here)
+
+
+def made(release, installed=None):
+    bill, (pinned, graph) = release("bill"), needed()
     installed = [distribution(name) for name in pinned] if installed is None else installed
     wheel = bill.Wheel("1.2.3", WHEEL, 1_700_000_000)
-    graph = locked.needed(here)
     return pinned, bill.make_bill(wheel, installed, pinned, graph, ["numpy", "jsbsim"])
 
 

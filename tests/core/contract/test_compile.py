@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numba
 import pytest
+from cases import ALL
 from commands import call_command
 from fresh import NOT_MOUNTED, run_fresh
 from places import ROOT
@@ -260,7 +261,7 @@ def step(records):
 """
 
 
-@pytest.mark.parametrize("place", ["home", "nowhere", "wanted"])
+@pytest.mark.parametrize("place", ["home", "nowhere", "wanted"][: 3 if ALL else 1])
 def test_constant_of_core_is_never_stale(package, tmp_path, place):
     """Wherever machine code is kept, and where it is not, a change compiles anew."""
     frames = Path(compiling.__file__).parent / "frames.py"

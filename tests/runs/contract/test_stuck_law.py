@@ -8,6 +8,7 @@ import weakref
 from pathlib import Path
 
 import pytest
+from cases import some
 from commands import ROOT, call_command, children, environment
 from forked import Forked
 from waiting import TIMEOUT_S, until
@@ -105,7 +106,7 @@ def test_second_signal_ends_a_compiled_law(folder):
     ],
     ids=["stuck", "waiting", "calling"],
 )
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", some([signal.SIGINT, signal.SIGTERM], 1))
 def test_signals_in_compiled_code(tmp_path, act, code, texts, number):
     """Of each command, also one that flies nothing."""
     errors, output = tmp_path / "errors.txt", tmp_path / "output.txt"
@@ -166,7 +167,7 @@ def process_s(number):
     return ticks / os.sysconf("SC_CLK_TCK")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", some([signal.SIGINT, signal.SIGTERM], 1))
 def test_new_aircraft_that_is_ended_leaves_nothing(tmp_path, number):
     file = ROOT / "aircraft" / "rascal110" / "rascal110.xml"
     for attempt in range(5):
