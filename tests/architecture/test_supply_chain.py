@@ -5,13 +5,16 @@ import json
 import re
 import shutil
 import subprocess
+import tarfile
 from functools import cache
 from importlib.metadata import distribution, distributions, version
 from pathlib import Path
 
 import pytest
 import yaml
-from cases import ALL
+from cases import in_full
+from hatchling.builders.sdist import SdistBuilder
+from hatchling.builders.wheel import WheelBuilder
 
 import testbed
 
@@ -269,12 +272,44 @@ def test_tag_that_differs_from_version_raises(release):
         packages.check_version("9.9.9", "v9.9.9")
 
 
+@pytest.fixture
+def checkout(tmp_path):
+    """Folder with the committed files."""
+    if shutil.which("git") is None or not (ROOT / ".git").exists():
+        pytest.skip("no checkout of git")
+    archive = tmp_path / "source.tar"
+    command = ("git", "archive", "--format=tar", f"--output={archive}", "HEAD")
+    subprocess.run(command, cwd=ROOT, check=True)
+    with tarfile.open(archive) as tar:
+        tar.extractall(tmp_path / "source", filter="data")
+    return tmp_path / "source"
+
+
+def test_packages_would_have_all_their_files(release, checkout):
+    """As the backend lists them, which writes them in the next test."""
+    packages, version = release("packages"), testbed.__version__
+    files = packages.committed()
+    made = [f"dist-info/{each}" for each in packages.MADE_WHEEL]
+    expected = packages.expected_in_wheel(files, version)
+    wheel = {each for each in expected if not each.endswith((*made,))}
+    assert len(wheel) == len(expected) - len(made)
+    prefix = f"{packages.FILES}-{version}/"
+    sdist = {each.removeprefix(prefix) for each in packages.expected_in_sdist(files, version)}
+    for kind, files in (
+        (WheelBuilder, wheel),
+        (SdistBuilder, sdist - {*packages.MADE_SDIST, *packages.ALWAYS_SDIST}),
+    ):
+        builder = kind(str(checkout))
+        found = {each.distribution_path for each in builder.recurse_included_files()}
+        packages.check_contents(found, files, kind.__name__)
+
+
+@in_full
 def test_two_builds_are_equal_and_complete(release, tmp_path):
     if shutil.which("git") is None or not (ROOT / ".git").exists():
         pytest.skip("no checkout of git")
     packages = release("packages")
-    build = packages.build_twice if ALL else packages.build  # `make release` builds twice, too
-    once = build(tmp_path, epoch_s=1_700_000_000)
+    once = packages.build_twice(tmp_path, epoch_s=1_700_000_000)
     sdist, wheel = sorted(once, key=lambda path: path.suffix)
     files, version = packages.committed(), packages.version_of(wheel)
     packages.check_wheel(wheel, files, version)

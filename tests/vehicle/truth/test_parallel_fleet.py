@@ -5,6 +5,7 @@ import sys
 
 import numpy as np
 import pytest
+from cases import ALL
 
 from testbed.core.records import (
     AIRCRAFT,
@@ -25,7 +26,7 @@ each_count = pytest.mark.parametrize(
     "processes",
     [
         2,
-        3,
+        *([3] if ALL else []),
         pytest.param(50, id="more processes than aircraft"),
     ],
 )
