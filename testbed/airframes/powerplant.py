@@ -205,10 +205,10 @@ class Powerplant:
 
 def at_rest(before: Sequence[float], after: Sequence[float], share: float = _RESTS) -> bool:
     """Return whether values have changed in a step by less than a share, by default rounding."""
-    return all(
-        abs(new - old) < share * abs(new) or new == old
-        for old, new in zip(before, after, strict=True)
-    )
+    for old, new in zip(before, after, strict=True):  # faster than `all`: most of a trim's steps
+        if not (abs(new - old) < share * abs(new) or new == old):
+            return False
+    return True
 
 
 def _common_setter(setters: Sequence[Callable[[float], None]]) -> Callable[[float], None]:
