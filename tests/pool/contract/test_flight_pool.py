@@ -14,7 +14,7 @@ import golden_scenarios
 import pytest
 import small_study
 import worker_tasks
-from cases import ALL
+from cases import in_full
 from commands import SEVERAL, environment
 from places import SHARED
 from waiting import TIMEOUT_S, until
@@ -241,14 +241,14 @@ search: {max_flights: 8, population: 4, held_out_seeds: [7, 8, 9]}
 """
 
 
-COMMANDS = ("sweep small.yaml --jobs=1",)
-if ALL:  # start the same workers
-    COMMANDS += (
-        "tune tune.yaml --jobs=1",
-        "check exact.yaml --update --reason=first --seeds=3 --jobs=1",
-    )
+COMMANDS = (
+    "sweep small.yaml --jobs=1",
+    "tune tune.yaml --jobs=1",
+    "check exact.yaml --update --reason=first --seeds=3 --jobs=1",
+)
 
 
+@in_full  # the workers are those of `test_pool_imports_nothing_from_the_folder`
 def test_commands_import_nothing_from_the_folder(tmp_path):
     """Only the law of a scenario, which lies beside it."""
     hide(tmp_path)

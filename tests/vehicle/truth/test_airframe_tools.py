@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from aircraft_copies import changed
+from cases import ALL
 from places import ROOT
 from snapshot import check_snapshot
 from typer.testing import CliRunner
@@ -431,7 +432,8 @@ class TestCommands:
     @pytest.mark.parametrize(
         ("arguments", "words"),
         [
-            (("trim", "rascal110", "--airspeed", "5"), "no steady flight"),
+            # at 5 m/s a dozen other airspeeds are tried in vain
+            (("trim", "rascal110", "--airspeed", "5" if ALL else "8.8"), "no steady flight"),
             (("trim", "rascal110", "--airspeed", "nan"), "--airspeed"),
             (("trim", "nothing", "--airspeed", "20"), "no aircraft"),
             (

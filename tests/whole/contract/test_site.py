@@ -174,7 +174,7 @@ def test_every_page_of_the_docs_is_in_the_navigation(site, pages):
     assert {path.as_posix() for path in ours} <= navigation
 
 
-def test_linked_files_exist_with_those_of_the_navigation(monkeypatch):
+def test_linked_files_exist_with_those_named(monkeypatch):
     """Of the whole repository: the site of `make test` has most pages without their links."""
     monkeypatch.syspath_prepend(str(ROOT / "website"))
     linked_files = importlib.import_module("linked_files")
