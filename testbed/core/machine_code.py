@@ -9,15 +9,17 @@ from __future__ import annotations
 import hashlib
 import pickle
 import re
+import secrets
 import sys
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from typing import Any
 
 import llvmlite
 import numba
 from llvmlite import binding
-from numba.core import compiler, serialize
+from numba.core import bytecode, compiler, serialize
 from numba.core.caching import _Cache
 from numba.core.codegen import JITCodeLibrary
 from numba.core.runtime.nrt import rtsys
@@ -32,6 +34,11 @@ _parse_bitcode: Any = binding.parse_bitcode
 _dumps: Any = serialize.dumps
 _OTHER = re.compile(r"[^\w.]")  # characters, such as those of <locals>
 _LETTERS = 80  # of the name of an entry in that of its file
+# A symbol has the number that numba gives to its function. numba counts from 1 in each process: the
+# machine code that two processes keep could have one symbol for two functions, such as the steps of
+# two laws, and where a third process loads both, calls of the second would run the first.
+_Identity: Any = bytecode.FunctionIdentity
+_Identity._unique_ids = iter(partial(secrets.randbits, 64), None)
 
 
 class _LoadedLibrary(_Library):  # type: ignore[misc]

@@ -43,6 +43,23 @@ step(records)
 hits = sum(step.dispatcher.stats.cache_hits.values()) if hasattr(step, "dispatcher") else "plain"
 print(records["x"].tolist(), hits)
 """
+# of two functions with one name and types, which are too long to become part of their callers
+SCALED = f"""
+from math import sin
+from testbed.core.compile import checked_kernel, entry_of_user_code
+
+def step_of(scale):
+    def scaled(x):
+        {"; ".join(f"x += sin({k} * x)" for k in range(60))}
+        return scale * x
+
+    one = checked_kernel(scaled)
+
+    def step(x):
+        return one(x)
+
+    return entry_of_user_code(step, str(scale))
+"""
 MAIN = "from testbed.cli.main import main; main()"
 
 
@@ -369,6 +386,27 @@ with testbed.Simulation(set_duration(load_scenario("telemetry-radio"), 0.2)) as 
 found = [array.tobytes().hex() for array in (*state.truth, *state.estimate)]
 print(found)
 """
+
+
+@pytest.mark.parametrize("counted", [False, True])
+def test_code_of_two_processes_is_not_mixed(package, counted):
+    """Negative control: functions with numba's own numbers, which are those of a count."""
+    script = SCALED
+    if counted:
+        script += """
+import itertools
+import testbed.core.machine_code
+from numba.core.bytecode import FunctionIdentity
+FunctionIdentity._unique_ids = itertools.count(1000)
+"""
+
+    def called(*scales):
+        values = f"[step_of(each)(1.0) for each in {scales}]"
+        return json.loads(printed(package, script=f"{script}\nprint({values})"))
+
+    (one,), (three,) = called(1.0), called(3.0)
+    assert three == pytest.approx(3.0 * one)
+    assert (called(1.0, 3.0) == [one, three]) is not counted
 
 
 def test_debugger_and_compiler_fly_the_same_bits():
