@@ -32,19 +32,25 @@ from testbed.views.panels import GREY, GRID, FieldMap, Heatmap, Line, Panel, Pan
 
 
 def _import_whatever_is_set() -> None:
-    """Import Matplotlib, which fails where an environment variable names no backend of it."""
-    try:
-        import matplotlib  # noqa: F401
-    except ImportError:
-        raise
-    except Exception:  # any of its own
-        for name in [each for each in sys.modules if each.partition(".")[0] == "matplotlib"]:
-            del sys.modules[name]  # a part of it
-        names = "MPLBACKEND", "MATPLOTLIBRC"
-        removed = {name: os.environ.pop(name) for name in names if name in os.environ}
+    """Import Matplotlib, which fails where settings name what is not here: a backend, a locale."""
+    names = "MPLBACKEND", "MATPLOTLIBRC"
+    removed = {name: os.environ[name] for name in names if name in os.environ}
+    # all settings of the user, those of files alone, and none
+    for variables in (removed, {}, {"MATPLOTLIBRC": os.devnull}):
+        for name in names:
+            os.environ.pop(name, None)
+        os.environ.update(variables)
         try:
             import matplotlib  # noqa: F401
+        except ImportError:
+            raise
+        except Exception:  # any of its own
+            for name in [each for each in sys.modules if each.partition(".")[0] == "matplotlib"]:
+                del sys.modules[name]  # a part of it
+        else:
+            return
         finally:
+            os.environ.pop("MATPLOTLIBRC", None)
             os.environ.update(removed)
 
 
