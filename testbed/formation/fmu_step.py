@@ -81,8 +81,8 @@ def memory_fields(state_bytes: int) -> list[tuple[Any, ...]]:
 
 
 def state_words(state_bytes: int) -> int:
-    """Return how many words hold a state: a power of two, so that few sizes are compiled."""
-    words = 8
+    """Return how many words hold a state: at least 64, a power of two: few sizes are compiled."""
+    words = 64
     while words * WORD < state_bytes:
         words *= 2
     return words

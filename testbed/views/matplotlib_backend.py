@@ -7,6 +7,7 @@ settings of Matplotlib the user has.
 from __future__ import annotations
 
 import io
+import locale
 import os
 import sys
 from collections.abc import Iterator
@@ -33,10 +34,10 @@ from testbed.views.panels import GREY, GRID, FieldMap, Heatmap, Line, Panel, Pan
 
 def _import_whatever_is_set() -> None:
     """Import Matplotlib, which fails where settings name what is not here: a backend, a locale."""
-    names = "MPLBACKEND", "MATPLOTLIBRC"
-    removed = {name: os.environ[name] for name in names if name in os.environ}
-    # all settings of the user, those of files alone, and none
-    for variables in (removed, {}, {"MATPLOTLIBRC": os.devnull}):
+    names = "MPLBACKEND", "MATPLOTLIBRC", "LC_ALL"
+    users = {name: os.environ[name] for name in names if name in os.environ}
+    # all variables of the user; none; the locale that Python has, which a setting lets it set again
+    for variables in (users, {}, {"LC_ALL": locale.setlocale(locale.LC_CTYPE)}):
         for name in names:
             os.environ.pop(name, None)
         os.environ.update(variables)
@@ -50,8 +51,8 @@ def _import_whatever_is_set() -> None:
         else:
             return
         finally:
-            os.environ.pop("MATPLOTLIBRC", None)
-            os.environ.update(removed)
+            os.environ.pop("LC_ALL", None)
+            os.environ.update(users)
 
 
 with needs_extra("report", "figures"):

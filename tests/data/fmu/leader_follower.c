@@ -12,7 +12,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#define MAX_N 16
+#define MAX_N 4
 
 typedef struct {
   double now, own_position[3], own_velocity[3];
