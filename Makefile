@@ -5,8 +5,8 @@
 
 PYTHON ?=
 JOBS ?= 2
-# tests at once: two more than processors, because some tests wait for other programs
-WORKERS ?= $(shell expr $(JOBS) + 2)
+# tests at once: one more than processors, because some tests wait for other programs
+WORKERS ?= $(shell expr $(JOBS) + 1)
 ARGS ?=
 
 VENV := .venv
