@@ -1,4 +1,4 @@
-"""Cases of dear tests: a seeded sample in `make test`, and all of them in `make check-all`.
+"""Cases of slow tests: a seeded sample in `make test`, and all of them in `make check-all`.
 
 Only for cases that run the same code as others: what one case alone would find is always run.
 """

@@ -12,11 +12,13 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 from functools import cache
 
 from commands import environment
 from places import ROOT, SHARED
+from waiting import TIMEOUT_S
 
 STARTER = "import forked, sys; forked.serve(int(sys.argv[1]))"
 MOST_BYTES = 1 << 20  # of a request
@@ -80,6 +82,22 @@ def _become(function, arguments, folder, variables, files):
 def execute():
     """Execute the program that is the first argument, as the main module."""
     exec(sys.argv[1], sys.modules["__main__"].__dict__)
+
+
+def run_program(text, *arguments, folder):
+    """Execute a program in a process of its own; return its exit code, output and errors."""
+    with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as err:
+        process = Forked(
+            *("forked:execute", text, *arguments),
+            cwd=folder,
+            env=environment(80),
+            stdout=out,
+            stderr=err,
+        )
+        code = process.wait(TIMEOUT_S)
+        for each in (out, err):
+            each.seek(0)
+        return code, out.read(), err.read()
 
 
 @cache

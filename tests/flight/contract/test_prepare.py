@@ -14,7 +14,7 @@ from testbed.scenario import library, load_scenario
 
 ALL = os.environ.get("TESTBED_PREPARED") == "1"
 GOLDEN = sorted(path.stem for path in (library() / "scenarios" / "golden").glob("*.json"))
-# A fault is flown to the end; whole flights of the others, without events, are dear.
+# A fault is flown to the end; whole flights of the others, without events, take long.
 SAMPLE = (
     *("simulation-3-pixhawk:30", "own-law-repulsion:20"),
     *("ideal-figure-eight:30", "engine-out-uav2"),

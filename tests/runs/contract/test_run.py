@@ -15,8 +15,7 @@ import time
 import numpy as np
 import pytest
 from cases import ALL
-from commands import environment
-from forked import Forked
+from forked import run_program
 from places import SHARED
 from run_flight import (
     NOISY,
@@ -279,17 +278,9 @@ cli.main()
 
 
 def test_ctrl_c_swallowed_by_a_library_ends_the_run(tmp_path):
-    with (tmp_path / "out").open("w") as out, (tmp_path / "err").open("w") as err:
-        process = Forked(
-            *("forked:execute", SWALLOWED),
-            cwd=tmp_path,
-            env=environment(80),
-            stdout=out,
-            stderr=err,
-        )
-        code = process.wait(TIMEOUT_S)
-    assert (tmp_path / "out").read_text() == "swallowed\n"
-    assert code == 130, (tmp_path / "err").read_text()
+    code, printed, errors = run_program(SWALLOWED, folder=tmp_path)
+    assert printed == "swallowed\n"
+    assert code == 130, errors
     assert json.loads((tmp_path / "run" / "metrics.json").read_text())["simulated_s"] == 0.0
 
 

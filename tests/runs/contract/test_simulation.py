@@ -8,10 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cases import some
-from commands import environment
-from forked import Forked
+from forked import run_program
 from run_flight import Collector
-from waiting import TIMEOUT_S
 
 import testbed
 from testbed.commissioning import replay_commands
@@ -184,16 +182,7 @@ elif sys.argv[2] == "forked":
 @pytest.mark.parametrize("ending", ["dropped", "program ends", "forked"])
 def test_unclosed_or_forked_flight_keeps_its_log(tmp_path, ending):
     """It is finished with a warning; a fork is refused, and does not change its parent's log."""
-    with (tmp_path / "out").open("w+") as out, (tmp_path / "err").open("w+") as err:
-        process = Forked(
-            *("forked:execute", UNCLOSED, ending),
-            cwd=tmp_path,
-            env=environment(80),
-            stdout=out,
-            stderr=err,
-        )
-        code = process.wait(TIMEOUT_S)
-        printed, errors = (Path(each.name).read_text() for each in (out, err))
+    code, printed, errors = run_program(UNCLOSED, ending, folder=tmp_path)
     assert code == 0 and "Traceback" not in errors, errors
     log = read_log(tmp_path / "run" / LOG_NAME)
     if ending == "forked":
