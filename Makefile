@@ -19,6 +19,7 @@ TRAINING := .venv-training
 TRAINING_STAMP := $(TRAINING)/.installed
 TOOLS := .venv-release
 TOOLS_STAMP := $(TOOLS)/.installed
+UV := $(BIN)/uv
 MAKEFLAGS += --no-print-directory
 # Bytecode is kept: tests start some hundred processes, and each would compile the testbed's text.
 export PYTHONDONTWRITEBYTECODE :=
@@ -168,27 +169,22 @@ newest: $(STAMP)
 # is a failure. And unsafe constructs in the workflows.
 audit: $(TOOLS_STAMP)
 	@$(TOOLS)/bin/zizmor --offline --quiet .github action.yml
-	@for lock in requirements.lock release/requirements.lock tests/clients/requirements.lock \
-		examples/training.lock; do \
+	@for lock in requirements.lock release/requirements.lock release/installer.lock \
+		tests/clients/requirements.lock examples/training.lock; do \
 		echo "$$lock:"; \
 		$(TOOLS)/bin/pip-audit --strict --require-hashes --disable-pip --progress-spinner off \
 			-r $$lock || exit 1; \
 	done
 
-# Needs uv. Pins the newest releases inside the ranges of pyproject.toml.
-lock:
-	@uv pip compile pyproject.toml --extra dev --extra docs --universal --python-version 3.11 \
-		--generate-hashes --no-annotate --no-config --upgrade --quiet \
-		--custom-compile-command "make lock" -o requirements.lock
-	@uv pip compile tests/clients/requirements.in --no-deps --universal --python-version 3.11 \
-		--generate-hashes --no-annotate --no-config --upgrade --quiet \
-		--custom-compile-command "make lock" -o tests/clients/requirements.lock
-	@uv pip compile examples/training.in --no-deps --universal --python-version 3.11 \
-		--generate-hashes --no-annotate --no-config --upgrade --quiet \
-		--custom-compile-command "make lock" -o examples/training.lock
-	@uv pip compile release/requirements.in --universal --python-version 3.11 \
-		--generate-hashes --no-annotate --no-config --upgrade --quiet \
-		--custom-compile-command "make lock" -o release/requirements.lock
+# Pins the newest releases inside the ranges of pyproject.toml.
+PINS = $(UV) pip compile --universal --python-version 3.11 --generate-hashes --no-annotate --no-config \
+	--system-certs --upgrade --quiet --custom-compile-command "make lock"
+lock: $(UV)
+	@$(PINS) pyproject.toml --extra dev --extra docs -o requirements.lock
+	@$(PINS) tests/clients/requirements.in --no-deps -o tests/clients/requirements.lock
+	@$(PINS) examples/training.in --no-deps -o examples/training.lock
+	@$(PINS) release/requirements.in -o release/requirements.lock
+	@$(PINS) release/installer.in -o release/installer.lock
 
 clean:
 	@rm -rf $(VENV) $(CLIENTS) $(TRAINING) $(TOOLS) build dist .mypy_cache .pytest_cache .ruff_cache
@@ -210,12 +206,27 @@ environment:
 			exit 2; }; \
 	fi
 
-# The lock file is complete (--no-deps). Modules are compiled when they are first imported, most never.
-$(STAMP): requirements.lock pyproject.toml | environment
-	@echo "install: the pinned packages into $(VENV); once, a minute or more" >&2
-	@$(BIN)/python release/install.py requirements.lock \
-		$(BIN)/python -m pip install --disable-pip-version-check --no-compile --no-deps \
-		--require-hashes -r requirements.lock
+# pip installs it; where there is none for this system, pip installs everything.
+$(UV): release/installer.lock | environment
+	-@$(BIN)/python -m pip install --quiet --disable-pip-version-check --only-binary :all: \
+		--no-deps --require-hashes -r release/installer.lock
+	@touch -c $(UV)
+
+# $(call install,ENVIRONMENT,LOCK FILES): the lock files are complete (--no-deps). Modules are compiled
+# when they are first imported, most never. uv does it in seconds. pip, which has settings of its own
+# for indexes and certificates, does it where uv cannot. Without a terminal uv only prints errors.
+define install
+@UV_CACHE_DIR=$(1)/.cache $(UV) pip install $(shell test -t 2 || echo --quiet) --python $(1) \
+	--system-certs --no-config --no-deps --require-hashes $(addprefix -r ,$(2)) || { \
+	echo "uv cannot install into $(1): pip does, in a minute or more" >&2; \
+	$(BIN)/python -m pip --python $(1) install --disable-pip-version-check --no-compile \
+		--no-deps --require-hashes $(addprefix -r ,$(2)); }
+@rm -rf $(1)/.cache
+endef
+
+$(STAMP): requirements.lock pyproject.toml | $(UV)
+	@echo "install: the pinned packages into $(VENV); once, 1.6 GB" >&2
+	$(call install,$(VENV),requirements.lock)
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check \
 		--no-deps --no-build-isolation --editable .
 	@touch $(STAMP)
@@ -226,24 +237,21 @@ $(COMPILED): $(STAMP)
 	@$(BIN)/python tests/warm.py first
 	@touch $(COMPILED)
 
-$(CLIENTS_STAMP): tests/clients/requirements.lock | environment
-	@echo "Installing the MAVLink clients of the tests into $(CLIENTS); once, a minute"
-	@$(BIN)/python -m venv --clear $(CLIENTS)
-	@$(CLIENTS)/bin/python -m pip install --quiet --disable-pip-version-check --no-compile \
-		--no-deps --require-hashes -r tests/clients/requirements.lock
+$(CLIENTS_STAMP): tests/clients/requirements.lock | $(UV)
+	@echo "Installing the MAVLink clients of the tests into $(CLIENTS); once"
+	@$(BIN)/python -m venv --clear --without-pip $(CLIENTS)
+	$(call install,$(CLIENTS),$<)
 	@touch $(CLIENTS_STAMP)
 
 # Beside .venv, which has the rest; PyPI's PyTorch for Linux would bring gigabytes of CUDA.
 $(TRAINING_STAMP): examples/training.lock examples/torch.lock | $(STAMP)
 	@echo "Installing Stable-Baselines3 and PyTorch into $(TRAINING); once, a minute"
-	@$(BIN)/python -m venv --clear $(TRAINING)
-	@$(TRAINING)/bin/python -m pip install --quiet --disable-pip-version-check \
-		--no-deps --require-hashes -r examples/training.lock -r examples/torch.lock
+	@$(BIN)/python -m venv --clear --without-pip $(TRAINING)
+	$(call install,$(TRAINING),$^)
 	@touch $(TRAINING_STAMP)
 
 $(TOOLS_STAMP): release/requirements.lock | $(STAMP)
-	@echo "Installing the tools of releases into $(TOOLS); once, a minute"
-	@$(BIN)/python -m venv --clear $(TOOLS)
-	@$(TOOLS)/bin/python -m pip install --quiet --disable-pip-version-check \
-		--require-hashes -r release/requirements.lock
+	@echo "Installing the tools of releases into $(TOOLS); once"
+	@$(BIN)/python -m venv --clear --without-pip $(TOOLS)
+	$(call install,$(TOOLS),$<)
 	@touch $(TOOLS_STAMP)
