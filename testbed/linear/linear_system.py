@@ -10,7 +10,7 @@ import difflib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import (
@@ -21,12 +21,14 @@ from scipy.linalg import (
     solve_sylvester,
     svd,
 )
-from scipy.signal import dlti
 from scipy.sparse.csgraph import connected_components
 
 from testbed.core.errors import InputError, MissingExtraError
 from testbed.core.records import Array, BoolArray, join_names
 from testbed.linear.loop_margins import FREQUENCIES, CommandMargins, margins_of
+
+if TYPE_CHECKING:
+    from scipy.signal import dlti
 
 _NEGLIGIBLE = 1e-9  # elements of matrices
 _VANISHED = 1e-6  # eigenvalues of what a period forgets
@@ -489,6 +491,8 @@ class LinearSystem:
 
     def to_scipy(self) -> dlti:
         """Return it as a `scipy.signal.dlti`, which has no names."""
+        from scipy.signal import dlti  # takes as long to import as all other libraries of a command
+
         return dlti(self.a, self.b, self.c, self.d, dt=self.dt)
 
     def to_control(self) -> Any:  # noqa: ANN401 - python-control has no types

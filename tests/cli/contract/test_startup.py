@@ -7,6 +7,8 @@ import sys
 
 import typer
 from commands import environment
+from fresh import run_fresh
+from places import ROOT
 
 import testbed
 from testbed.cli.exit_codes import EXIT_CODES_HELP
@@ -60,6 +62,12 @@ def test_run_loads_only_the_libraries_it_uses(tmp_path):
     }
     assert not any(name.startswith("pymavlink") for name in loaded)
     assert not unused & loaded
+
+
+def test_margins_load_no_signal_processing(tmp_path):
+    """`scipy.signal` takes as long to load as all else that the command loads."""
+    code = "import sys, testbed.linear.linear_system; sys.exit('scipy.signal' in sys.modules)"
+    assert run_fresh(code, folder=tmp_path, paths=[ROOT], env=ENV)[0] == 0
 
 
 def test_list_loads_no_compiler(tmp_path):
