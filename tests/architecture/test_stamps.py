@@ -1,16 +1,22 @@
 """Files of tests that are left out because nothing changed: what counts as a change."""
 
 import json
+import os
+import random
+import subprocess
+import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 import shards
 import stamps
+from cases import SEED, in_full
 from places import ROOT, TESTS
 from selection import Selection
 
 GUSTS = TESTS / "atmosphere" / "equations" / "test_atmosphere_gusts.py"
-COMMANDS = TESTS / "linear" / "contract" / "test_delay.py"  # starts commands
+COMMANDS = TESTS / "linear" / "contract" / "test_delay.py"  # runs commands
 
 
 @pytest.fixture
@@ -54,10 +60,73 @@ def test_change_of_a_file_that_decides_counts(file, counts, changed):
     assert (stamps.stamp(GUSTS) != before) is counts
 
 
-def test_commands_depend_on_every_file(changed):
+@pytest.mark.parametrize(
+    ("file", "counts"),
+    [
+        ("testbed/cli/main.py", True),
+        ("testbed/cli/delay.py", True),  # the command
+        ("testbed/linear/delay_margin.py", True),
+        ("testbed/flight/loop.py", True),
+        ("testbed/benchmark/score.py", False),
+    ],
+)
+def test_commands_decide_by_their_names(file, counts, changed):
+    assert (ROOT / file).is_file()
     before = stamps.stamp(COMMANDS)
-    changed(ROOT / "docs" / "air.md")
-    assert stamps.stamp(COMMANDS) != before
+    changed(ROOT / file)
+    assert (stamps.stamp(COMMANDS) != before) is counts
+
+
+UNKNOWN = (
+    *("print(testbed)", "getattr(testbed, 'run')", "vars(testbed._MODULES)"),
+    *("call(cwd=ROOT)", "HERE = ROOT", "ROOT.rglob('*')", "ROOT / name", "open(__file__)"),
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [
+        ("import testbed\ntestbed.run(1)", "testbed/runs/run.py"),
+        ("from testbed import Batch", "testbed/runs/batch.py"),
+        ("patch('testbed.reports.page.run_page')", "testbed/reports/page.py"),
+        ("run('from testbed import Batch, load_run')", "testbed/logs/flight_data.py"),
+        ("run('-m testbed.cli.main', 'new', 'law')", "testbed/cli/new.py"),
+        ("ROOT / 'docs' / 'air.md'", "docs/air.md"),
+        ("run(ROOT / 'examples/arc_follower.py')", "testbed/law.py"),
+        ("SHARED / 'airframe_fuzz.py'", "testbed/airframes/airframe_validation.py"),
+        *((text, None) for text in UNKNOWN),
+    ],
+)
+def test_what_a_text_reaches_decides(text, name, tmp_path, monkeypatch):
+    """None: it cannot be followed, so that every file of the repository decides."""
+    path = tmp_path / "test_file.py"
+    path.write_text(text + "\n")
+    monkeypatch.setattr(stamps, "TESTS", tmp_path)
+    found = stamps.decisive(path)
+    if name is None:
+        assert found is None
+    else:
+        assert name in {each.relative_to(ROOT).as_posix() for each in found[0] - {path}} | found[1]
+        assert "testbed/studies/sweep.py" not in found[0]
+
+
+@in_full
+def test_files_execute_only_what_decides_them(tmp_path):
+    """Functions that tests call, and files that are found by reading."""
+    followed = [
+        path
+        for path in sorted(TESTS.rglob("test_*.py"))
+        if path != Path(__file__) and stamps.decisive(path) is not None
+    ]
+    executed = tmp_path / "executed.json"
+    for path in (COMMANDS, *random.Random(SEED).sample(followed, 12)):
+        subprocess.run(
+            [sys.executable, "-m", "pytest", "-q", "-n0", "-p", "executed_files", path],
+            env=os.environ | {"EXECUTED": str(executed), "CI": "1"},
+            check=True,
+        )
+        found = {*map(Path, json.loads(executed.read_text()))}
+        assert found and not found - stamps.decisive(path)[0], path
 
 
 def test_size_of_a_sample_counts(monkeypatch):

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from commands import environment
 from forked import Forked
+from places import SHARED
 from run_flight import Collector
 
 import testbed
@@ -19,7 +20,7 @@ from testbed.core.records import FbwaCommand, VehicleState, fields_of
 from testbed.plan.world import build
 from testbed.scenario import loads, set_duration
 
-STAND_IN = Path(__file__).with_name("arduplane_stand_in.py")
+STAND_IN = SHARED / "arduplane_stand_in.py"
 # Parallel test processes have consecutive numbers; each has four instances of its own.
 FIRST = 8 + 4 * (os.getpid() % 60)
 SOON = 400 + 60  # packets: startup lasts a multiple of 2 s at 200 Hz, and this is 0.3 s later

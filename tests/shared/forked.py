@@ -17,7 +17,7 @@ import time
 from functools import cache
 
 from commands import environment
-from places import ROOT, SHARED
+from places import SHARED
 from waiting import TIMEOUT_S
 
 STARTER = "import forked, sys; forked.serve(int(sys.argv[1]))"
@@ -105,7 +105,6 @@ def _starter():
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     process = subprocess.Popen(
         [sys.executable, "-P", "-c", STARTER, str(theirs.fileno())],
-        cwd=ROOT,
         env=environment(80, SHARED),
         stdin=subprocess.DEVNULL,
         pass_fds=[theirs.fileno()],

@@ -5,6 +5,7 @@ import os
 import signal
 import struct
 import sys
+import tempfile
 import time
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -15,7 +16,6 @@ from types import SimpleNamespace
 import numpy as np
 from commands import environment
 from forked import Forked
-from places import ROOT
 from process_time import ProcessTime, last_s
 from record_flight import RECORDS
 from waiting import TIMEOUT_S, until
@@ -81,7 +81,7 @@ def process_starter():
         with os.fdopen(theirs_in) as input, os.fdopen(theirs_out, "w") as output:
             process = Forked(
                 "killing:work",
-                cwd=ROOT,
+                cwd=tempfile.gettempdir(),
                 env=environment(100),
                 stdin=input,
                 stdout=output,

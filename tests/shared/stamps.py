@@ -1,10 +1,12 @@
 """Tests that passed and of which nothing has changed since: `make test` leaves them out.
 
 A file of tests is unchanged if it, the modules that it imports, theirs, and all data are as they
-were when all its tests passed. The modules are found by their imports. A file that starts programs,
-imports `testbed` as a whole or reads other files of the repository depends on every file of it.
+were when all its tests passed. Modules are found by the imports, by the names of the testbed in a
+text (`-m testbed.cli`, a patched function), and by the commands whose names stand in a text; other
+files by `ROOT / "docs"`. A file that reaches the repository in another way depends on all of it.
 """
 
+import ast
 import hashlib
 import json
 import os
@@ -12,8 +14,12 @@ import platform
 import re
 import subprocess
 from functools import cache
+from typing import NamedTuple
 
-from places import ROOT, SHARED
+from places import ROOT, SHARED, TESTS
+
+import testbed
+from testbed.cli.main import _MODULES as OF_COMMANDS
 
 FILE = ROOT / "build" / "test-stamps.json"
 IMPORT = re.compile(
@@ -27,14 +33,29 @@ DATA = (
     "requirements.lock",
     "pyproject.toml",
 )
-# imports of `testbed` itself are those of files that use it as a whole; modules of users are data
+# These import modules by computed names: that of a public name, of a command, and of a user.
 WHOLE = ROOT / "testbed" / "__init__.py"
-COMPUTED = {WHOLE, ROOT / "testbed" / "plan" / "user_code.py"}
-# what a file that depends on its imports alone has not: processes, other files, `import testbed`
-EVERYTHING = re.compile(
-    r"\bsubprocess\b|\bmultiprocessing\b|\bROOT\b|^\s*(?:import testbed$|from testbed import)", re.M
-)
-OF_DATA = re.compile(r'ROOT / "(?:aircraft|scenarios)"|ROOT / "tests" / "(?:data|snapshots)"')
+COMMANDS = ROOT / "testbed" / "cli" / "main.py"
+COMPUTED = {WHOLE, COMMANDS, ROOT / "testbed" / "plan" / "user_code.py"}
+NAME = re.compile(r"\btestbed(?:\.\w+)+")
+IN_TEXT = re.compile(r"\bfrom testbed import ([\w, ]+)")
+FOLDERS = {"ROOT": ROOT, "TESTS": TESTS, "SHARED": SHARED}
+
+
+class Reached(NamedTuple):
+    """What a file outside the testbed reaches without importing it.
+
+    Attributes:
+        modules: names of modules.
+        paths: files and folders.
+        words: of its texts, among them names of commands.
+        everything: it reaches the repository in a way that cannot be followed.
+    """
+
+    modules: frozenset
+    paths: frozenset
+    words: frozenset
+    everything: bool
 
 
 def wanted():
@@ -104,25 +125,102 @@ def imported(path):
     return found
 
 
+@cache
 def closure(path):
     """Return a file and all that it imports, directly or not."""
-    found, new = set(), {path}
+    found, new = frozenset(), frozenset([path])
     while new:
         found |= new
-        new = set().union(*(imported(each) for each in new)) - found
+        new = frozenset().union(*map(imported, new)) - found
     return found
 
 
 @cache
-def finds_modules(path):
-    """Return whether a file imports modules by names that are computed."""
-    return "import_module(" in path.read_text("utf-8")
+def reached(path):
+    """Return what a file outside the testbed reaches without importing it."""
+    tree = ast.parse(path.read_text("utf-8"))
+    parents = {}
+    modules, paths, words, everything = set(), set(), set(), False
+    for node in ast.walk(tree):
+        parents.update(dict.fromkeys(ast.iter_child_nodes(node), node))
+        parent = parents.get(node)
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            if isinstance(parent, ast.Expr):  # a docstring
+                continue
+            modules.update(map(module_of, NAME.findall(node.value)))
+            for names in IN_TEXT.findall(node.value):
+                modules.update(module_of(f"testbed.{each}") for each in names.split(", "))
+            words.update(re.findall(r"[\w-]+", node.value))
+        elif isinstance(node, ast.ImportFrom) and node.module == "testbed":
+            modules.update(module_of(f"testbed.{each.name}") for each in node.names)
+        elif isinstance(node, ast.Name) and node.id == "testbed":
+            named = isinstance(parent, ast.Attribute) and not parent.attr.startswith("_")
+            modules.update([module_of(f"testbed.{parent.attr}")] if named else ())
+            everything |= not named
+        elif isinstance(node, ast.Name) and node.id in FOLDERS:
+            below = []
+            while isinstance(parent, ast.BinOp) and isinstance(parent.right, ast.Constant):
+                below.append(parent.right.value)
+                parent = parents[parent]
+            # `[ROOT]` and `environment(80, SHARED)` are folders of modules to import
+            listed = isinstance(parent, ast.List) or (
+                isinstance(parent, ast.Call) and ast.unparse(parent.func) in ("str", "environment")
+            )
+            paths.update([FOLDERS[node.id].joinpath(*below)] if below else ())
+            everything |= not below and not listed
+        elif isinstance(node, ast.Name) and node.id == "__file__":
+            everything |= not isinstance(parent, ast.List)  # a program that starts itself
+    return Reached(frozenset(modules), frozenset(paths), frozenset(words), everything)
+
+
+def module_of(name):
+    """Return the module of a name of the testbed; public names are in modules of their own."""
+    public = name.split(".")[1]
+    return testbed._MODULES.get(public, name)
 
 
 @cache
-def uses_everything(path):
-    """Return whether a file of the tests starts programs or reads other files."""
-    return bool(EVERYTHING.search(OF_DATA.sub("", path.read_text("utf-8"))))
+def computed(path):
+    """Return names of the modules that a file of the testbed imports by `import_module`."""
+    text = path.read_text("utf-8")
+    if path in COMPUTED or "import_module(" not in text:
+        return frozenset()
+    return frozenset(NAME.findall(text))
+
+
+def decisive(path):
+    """Return the files that decide the tests of a file, and paths of others; None: all."""
+    files, paths, new = frozenset(), set(), closure(path)
+    while new:
+        files |= new
+        found = [reached(each) for each in files if is_outside(each)]
+        if any(each.everything for each in found):
+            return None
+        names = set().union(*(each.modules for each in found), *map(computed, files))
+        if COMMANDS in files:
+            words = set().union(*(each.words for each in found))
+            names |= {module for name, module in OF_COMMANDS.items() if {*name.split()} <= words}
+        added = set().union(*map(module_files, names))
+        for each in set().union(*(each.paths for each in found)) - paths:
+            paths.add(each)
+            added.update(one for one in programs() if is_below(one, each))
+        new = frozenset().union(*map(closure, added - files)) - files
+    return files, {each.relative_to(ROOT).as_posix() for each in paths}
+
+
+@cache
+def is_outside(path):
+    """Return whether a file is one of the tests or a program beside the testbed."""
+    return not path.is_relative_to(ROOT / "testbed") and path.name != "places.py"
+
+
+@cache
+def programs():
+    return [path for path in repository() if path.suffix == ".py"]
+
+
+def is_below(path, folder):
+    return path == folder or path.is_relative_to(folder)
 
 
 def environment():
@@ -135,14 +233,12 @@ def environment():
 
 def stamp(path):
     """Return the digest of all that decides the tests of a file."""
-    files = closure(path)
-    own = [each for each in files if each.is_relative_to(SHARED.parent)]
-    others = [each for each in files if each not in own and each not in COMPUTED]
-    read = (each for each in own if each.name != "places.py")
-    if any(map(uses_everything, read)) or any(map(finds_modules, others)):
+    if (found := decisive(path)) is None:
         parts = [digest_below("")]
     else:
-        parts = [digest_below(*DATA), *sorted(f"{each.name} {digest_of(each)}" for each in files)]
+        files, paths = found
+        names = {each.relative_to(ROOT).as_posix(): digest_of(each) for each in files}
+        parts = [digest_below(*DATA, *sorted(paths)), *map(str, sorted(names.items()))]
     return hashlib.sha256("\n".join([environment(), *parts]).encode()).hexdigest()
 
 
