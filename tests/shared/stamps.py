@@ -139,11 +139,12 @@ def closure(path):
 def reached(path):
     """Return what a file outside the testbed reaches without importing it."""
     tree = ast.parse(path.read_text("utf-8"))
-    parents = {}
+    parents, nodes = {}, [tree]
     modules, paths, words, everything = set(), set(), set(), False
-    for node in ast.walk(tree):
-        parents.update(dict.fromkeys(ast.iter_child_nodes(node), node))
-        parent = parents.get(node)
+    for node in nodes:
+        parent, children = parents.get(node), list(ast.iter_child_nodes(node))
+        parents.update(dict.fromkeys(children, node))
+        nodes += children
         if isinstance(node, ast.Constant) and isinstance(node.value, str):
             if isinstance(parent, ast.Expr):  # a docstring
                 continue
@@ -188,6 +189,7 @@ def computed(path):
     return frozenset(NAME.findall(text))
 
 
+@cache
 def decisive(path):
     """Return the files that decide the tests of a file, and paths of others; None: all."""
     files, paths, new = frozenset(), set(), closure(path)
@@ -237,8 +239,8 @@ def stamp(path):
         parts = [digest_below("")]
     else:
         files, paths = found
-        names = {each.relative_to(ROOT).as_posix(): digest_of(each) for each in files}
-        parts = [digest_below(*DATA, *sorted(paths)), *map(str, sorted(names.items()))]
+        parts = [digest_below(*DATA, *sorted(paths))]
+        parts += sorted(f"{each} {digest_of(each)}" for each in files)
     return hashlib.sha256("\n".join([environment(), *parts]).encode()).hexdigest()
 
 
