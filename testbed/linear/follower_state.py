@@ -61,7 +61,8 @@ class FollowerStates:
         """Find the numbers of a flight in which all filters have started."""
         self._flight, self.ahead = flight, 0.0
         self._numbers = [list(self._find(i)) for i in range(len(flight.world.followers))]
-        widths = [[len(each.view) for each in one] for one in self._numbers]
+        self._views = [[each.view for each in one] for one in self._numbers]
+        widths = [[len(each) for each in one] for one in self._views]
         self._begins = [[0, *np.cumsum(each).tolist()] for each in widths]
         self._owners = [np.repeat(np.arange(len(each)), each) for each in widths]
         self._attitudes: list[Array | None] = [None] * len(self._numbers)
@@ -96,13 +97,13 @@ class FollowerStates:
 
     def read(self, i: int) -> Array:
         """Return the numbers of a follower (S,), as the flight has them."""
-        return np.concatenate([each.view for each in self._numbers[i]])
+        return np.concatenate(self._views[i])
 
     def add(self, i: int, change: Array) -> None:
         """Add to the numbers of a follower (S,)."""
         # of a few numbers in most calls
         for number in set(self._owners[i][np.flatnonzero(change)].tolist()):
-            view, at = self._numbers[i][number].view, self._begins[i][number]
+            view, at = self._views[i][number], self._begins[i][number]
             view += change[at : at + len(view)]
 
     def frames(self) -> tuple[Array, Array]:
