@@ -81,7 +81,7 @@ class SavedState(NotCopied):
         self._seen = seen  # which keeps ids and addresses
         used = [each for key, each in arrays.items() if key not in unused and each.size]
         # writing bytes takes half the time of assigning to an array
-        self._arrays = [memoryview(_bytes_of(each)) for each in used]
+        self._arrays = [_bytes_of(each).data for each in used]
         self._copies = [each.tobytes() for each in self._arrays]
 
     def _why_not_copied(self) -> str:

@@ -45,29 +45,3 @@ class Paper(Sticks):
 @testbed.kernel
 def sticks(now, own, inbox, memory, config):
     return FbwaCommand(0.03, 0.0, 0.3)
-
-
-@testbed.kernel
-def follow(now, own, inbox, memory, config):
-    """Fly towards the leader, by its extrapolated position."""
-    age = now - inbox.received_s[0]
-    if not age <= config.leader_timeout_s:
-        return FbwaCommand(0.03, 0.0, 0.3)
-    ahead = inbox.position_ned[0] + age * inbox.velocity_ned[0] - own.position_ned
-    course = np.arctan2(ahead[1], ahead[0])
-    error = course - np.arctan2(own.velocity_ned[1], own.velocity_ned[0])
-    return FbwaCommand(0.03, np.arctan(np.sin(error)), 0.3)
-
-
-class Follow(Sticks):
-    """The same as a class."""
-
-    def step(self, now, own, inbox, memory):
-        age = now - inbox.received_s[:, 0]
-        late = ~(age <= self.config.leader_timeout_s)
-        age = np.where(late, 0.0, age)[:, np.newaxis]
-        ahead = inbox.position_ned[:, 0] + age * inbox.velocity_ned[:, 0] - own.position_ned
-        course = np.arctan2(ahead[:, 1], ahead[:, 0])
-        error = course - np.arctan2(own.velocity_ned[:, 1], own.velocity_ned[:, 0])
-        roll = np.where(late, 0.0, np.arctan(np.sin(error)))
-        return FbwaCommand(np.full(len(roll), 0.03), roll, np.full(len(roll), 0.3)), None

@@ -12,6 +12,7 @@ from collections import deque
 import begun_flights
 import numpy as np
 import pytest
+from user_laws import FILTERED
 
 import testbed
 from testbed.core import saved_state
@@ -255,9 +256,10 @@ def test_compiled_laws_ignore_what_is_between_fields(folder, monkeypatch):
     count: list[int] = []
     monkeypatch.setattr(CompiledLaw, "__init__", filled)
     path = folder / "first.yaml"
+    (folder / "law_filtered.py").write_text(FILTERED, "utf-8")
     header = {"duration_s": 3.0, "windows": {"rectangles": None, "circles": None}}
     data = {"extends": "simulation-3", "scenario": {**header, "published": None}}
-    path.write_text(json.dumps({**data, "controller": {"law": "leader-follower"}}))
+    path.write_text(json.dumps({**data, "controller": {"law": "law_filtered:filtered"}}))
     simulation = testbed.Simulation(load_scenario(begin_as("first.yaml", 1.0, folder)))
     simulation.step(until=3.0)
     assert simulation.outcome == "completed" and len(count) > 2

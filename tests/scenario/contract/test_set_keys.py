@@ -133,7 +133,7 @@ def documented():
 def own_laws(tmp_path_factory):
     folder = tmp_path_factory.mktemp("laws")
     shutil.copy(SHARED / "key_laws.py", folder)
-    for name in (*LAWS, "sticks", "follow", "Follow"):
+    for name in (*LAWS, "sticks"):
         text = f"extends: simulation-3\nscenario: {{name: {name}}}\n"
         file = folder / f"{name}_law.yaml"
         file.write_text(f"{text}controller: {{law: key_laws:{name}}}\n", encoding="utf-8")
@@ -271,26 +271,23 @@ def test_batches_and_studies_refuse_too(tmp_path):
     assert str(caught.value).startswith(f"{study}:2:")
 
 
-def inbox_flight(folder, name, *settings):
-    simulation = testbed.Simulation(
-        folder / f"{name}_law.yaml", ["network.delay_s=0.2", *settings], duration_s=2.0
-    )
-    return simulation.step(until=2.0).truth.position_ned
+# one law, as a kernel and as a class
+KERNEL, CLASS = ROOT / "examples/leader-follower-kernel.yaml", "own-law-leader-follower"
 
 
-def test_extrapolation_reaches_own_laws(own_laws):
+def test_extrapolation_reaches_own_laws():
     """As a class and compiled alike; a law that extrapolates itself does it once."""
     flown = {}
-    for name in ("follow", "Follow"):
-        for origin in (
-            ("receipt", "timestamp", "null") if name == "follow" or ALL else ("timestamp",)
-        ):
-            setting = f"controller.extrapolate_from={origin}"
-            flown[name, origin] = inbox_flight(own_laws, name, setting)
-    for (name, origin), one in flown.items():
-        np.testing.assert_allclose(one, flown["follow", origin], atol=1e-9, err_msg=name)
-    np.testing.assert_array_equal(flown["follow", "receipt"], flown["follow", "null"])
-    apart = np.linalg.norm(flown["follow", "timestamp"] - flown["follow", "null"], axis=1)
+    for law in (KERNEL, CLASS):
+        for origin in ("receipt", "timestamp", "null") if law == KERNEL or ALL else ("timestamp",):
+            own = "controller.options.closing=0.05"  # with which no speed is at its bounds
+            settings = "network.delay_s=0.2", f"controller.extrapolate_from={origin}", own
+            simulation = testbed.Simulation(law, settings, duration_s=2.0)
+            flown[law, origin] = simulation.step(until=2.0).truth.position_ned
+    for (law, origin), one in flown.items():
+        np.testing.assert_allclose(one, flown[KERNEL, origin], atol=1e-9, err_msg=str(law))
+    np.testing.assert_array_equal(flown[KERNEL, "receipt"], flown[KERNEL, "null"])
+    apart = np.linalg.norm(flown[KERNEL, "timestamp"] - flown[KERNEL, "null"], axis=1)
     assert apart[1:].min() > 0.01
 
 

@@ -315,7 +315,7 @@ def test_tune_library_files_are_valid():
     for name in names:
         loaded = load_tune(name)
         assert loaded.study.name == name == find_tuning(name).stem
-    for name in some(names, 2):
+    for name in some(names, 1):
         Tuning(name)
 
 
