@@ -29,7 +29,7 @@ from testbed.linear import (
 from testbed.linear.delay_margin import delay_margins
 from testbed.linear.flown_margins import independent_groups
 from testbed.linear.follower_state import held_fields, problem_of_memory
-from testbed.linear.held_flight import COMMANDS
+from testbed.linear.held_flight import COMMANDS, KICK_S
 from testbed.linear.limit_cycle import find_limit_cycle
 from testbed.linear.linear_formation import join
 from testbed.linear.predicted_margins import (
@@ -47,6 +47,7 @@ WHOLE = bool(os.environ.get("TESTBED_LAW_MARGINS"))
 KICK = math.radians(0.02)
 KICK_THROTTLE = 1e-3
 SHARES = {"gain": 0.05, "latency_s": 0.03}  # by which a predicted margin may be wrong
+SLOW = () if WHOLE else RATES
 
 # towards a weighted mean of the slots that leader and neighbours show, whose stamps it uses itself
 MEAN = """
@@ -114,8 +115,8 @@ def laws(tmp_path_factory):
 class Flown:
     """A steady flight of a law and its linearised formation."""
 
-    def __init__(self, scenario, bank_deg):
-        self.flight, problem = fly_linearisable(load_scenario(scenario), bank_deg)
+    def __init__(self, scenario, bank_deg, settings=()):
+        self.flight, problem = fly_linearisable(load_scenario(scenario, settings), bank_deg)
         assert not problem
         self.start = self.flight.save()
         self.maps = linearise(self.flight)
@@ -154,7 +155,7 @@ def turns(laws):
 
     def turn(name, bank_deg):
         if (name, bank_deg) not in known:
-            known[name, bank_deg] = Flown(laws[name], bank_deg)
+            known[name, bank_deg] = Flown(laws[name], bank_deg, SLOW)
         return known[name, bank_deg]
 
     return turn
@@ -166,7 +167,7 @@ def predicted(formation, periods):
         [f"uav1.{each}" for each in COMMANDS], ["uav1.attitude.roll", "uav1.attitude.pitch"]
     )
     inputs = np.zeros((periods, 3))
-    inputs[:5] = KICK, KICK, KICK_THROTTLE
+    inputs[: round(KICK_S / formation.dt)] = KICK, KICK, KICK_THROTTLE
     return dlsim(kicked.to_scipy(), inputs)[1]
 
 
@@ -187,9 +188,10 @@ def test_memory_of_a_law_is_a_state(turns):
 def test_response_needs_the_memory_of_a_law(turns, name):
     """The response to a kick is that of a flight, and another one without the memory."""
     turn = turns(name, 30.0)
-    flown = turn.respond(500)[:, :2]
+    periods = round(20.0 / turn.flight.dt)
+    flown = turn.respond(periods)[:, :2]
     errors = [
-        np.linalg.norm(predicted(each, 500) - flown) / np.linalg.norm(flown)
+        np.linalg.norm(predicted(each, periods) - flown) / np.linalg.norm(flown)
         for each in (turn.formation, turn.without_memory())
     ]
     assert errors[0] < 0.01 < 0.02 < errors[1]
@@ -296,7 +298,7 @@ def test_messages_without_effect_are_not_received(turns):
     assert [set(each.b_message) for each in turn.maps.followers] == [{0}] * 3
     assert turn.formation.coupled_parts() == (("uav1",), ("uav2",), ("uav3",))
     # so all are kicked in one flight where margins are flown, and the flight is as before
-    scenario, flight = load_scenario(str(EXAMPLE)), turn.flight
+    scenario, flight = load_scenario(str(EXAMPLE), SLOW), turn.flight
     turn.start.restore()
     assert [each.tolist() for each in independent_groups(scenario, flight)] == [[0, 1, 2]]
     assert [each.tolist() for each in independent_groups(scenario)] == [[0], [1], [2]]
@@ -353,7 +355,7 @@ def test_limit_cycle_of_a_law_is_that_of_a_flight(turns):
 @pytest.fixture(scope="module")
 def straight(laws):
     """Return the law whose followers receive from each other, in straight flight."""
-    return Flown(laws["mean"], 0.0)
+    return Flown(laws["mean"], 0.0, SLOW)
 
 
 def flown_rate(scenario, delay_s):
@@ -374,7 +376,7 @@ def test_message_delay_of_a_law_is_that_of_flights(laws, straight, monkeypatch):
     monkeypatch.setattr(delay_margin, "SEARCHED", 4)
     if not ALL:  # with which counts are sure, too: test_delay_margin
         monkeypatch.setattr(delay_margin, "_FREQUENCIES", 60)
-    later = predicted_margins._LaterMessages(load_scenario(laws["mean"]), 0.0, straight.maps)
+    later = predicted_margins._LaterMessages(load_scenario(laws["mean"], SLOW), 0.0, straight.maps)
     [margin] = delay_margins(straight.maps, later)
     assert margin.followers == ("uav1", "uav2", "uav3")
     assert 0.3 < margin.delay_s < 0.9
