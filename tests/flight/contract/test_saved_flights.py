@@ -260,6 +260,23 @@ class Part:
         self.number, self.array = number, np.full(3, float(number))
 
 
+class Open:
+    UNSAVED = ("cache",)
+
+    def __init__(self):
+        self.kept, self.gone = 1, 2
+
+
+def test_attributes_return_to_their_state():
+    """Those that have come go, those that have gone come back; what is no state stays."""
+    part = Open()
+    state = SavedState(part=part)
+    part.kept, part.new, part.cache = 5, 3, 4
+    del part.gone
+    state.restore()
+    assert vars(part) == {"kept": 1, "gone": 2, "cache": 4}
+
+
 def test_objects_return_to_their_state():
     """Arrays and containers keep their identity, and what refers to them."""
     shared = np.arange(4.0)
