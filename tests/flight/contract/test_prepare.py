@@ -2,11 +2,10 @@
 
 import json
 import os
-import subprocess
-import sys
 
 import pytest
-from waiting import TIMEOUT_S
+from fresh import run_fresh
+from places import ROOT
 
 from testbed.guidance.mission_follower import guide
 from testbed.plan.world import build
@@ -51,7 +50,7 @@ class Prepared(runs.Flight):
 
 prepared = set()
 runs.Flight = Prepared
-duration, *names = sys.argv[1:]
+duration, *names = WORDS
 for name in names:
     name, _, own = name.partition(":")
     if child := os.fork():
@@ -71,12 +70,11 @@ for name in names:
 
 def entries_after_prepare(names, duration, folder, **environment):
     """Fly scenarios, perhaps with a duration of their own; return what each loaded in flight."""
-    done = subprocess.run(
-        [sys.executable, "-c", FLY, duration, *names], cwd=folder, env=os.environ | environment,
-        capture_output=True, text=True, timeout=4 * TIMEOUT_S,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    found = list(map(json.loads, done.stdout.splitlines()))
+    program = FLY.replace("WORDS", repr([duration, *names]))
+    env = os.environ | environment
+    code, output, errors = run_fresh(program, folder=folder, paths=[ROOT], env=env)
+    assert code == 0, errors
+    found = list(map(json.loads, output.splitlines()))
     assert all(prepared > 10 for _, prepared, _ in found)
     return {name: later for name, _, later in found}
 
