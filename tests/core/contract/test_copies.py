@@ -179,13 +179,14 @@ def make_objects(folder):
     hold.reset(seed=1)
     n = np.zeros((3, 3))
     law = testbed.law
+    scan = testbed.GainScan("hold-slot")  # of one follower
     return {
         "Aircraft": aircraft,
         "Batch": batch,
         "FlightData": run.data,
         "FlightRecords": testbed.FlightRecords(*(each.copy() for each in records)),
-        "GainScan": testbed.GainScan("simulation-3"),
-        "LinearSystem": testbed.linearise("simulation-3"),
+        "GainScan": scan,
+        "LinearSystem": scan.formation(),
         "Run": run,
         "Simulation": simulation,
         "Tuning": testbed.Tuning("x8-middle-loop"),
