@@ -1,10 +1,9 @@
 """Process that draws aircraft from JSBSim's grammar and validates a scenario with each.
 
-    python airframe_fuzz.py COUNT FOLDER
-
-answers with one line of JSON: how many were good and refused, and the faults. FOLDER is empty. Each
-aircraft is validated in a copy of this process, so that a crash ends only the copy. Files written,
-programs, sockets, tracebacks and other exit codes than 0 and 2 are faults.
+Its last arguments are COUNT and FOLDER, which is empty. It answers with one line of JSON: how many
+were good and refused, and the faults. Each aircraft is validated in a copy of this process, so that
+a crash ends only the copy. Files written, programs, sockets, tracebacks and other exit codes than 0
+and 2 are faults.
 """
 
 import json
@@ -259,8 +258,8 @@ def count_faults(count, folder):
     return {"seen": seen, "faults": faults}
 
 
-if __name__ == "__main__":
+def answer():
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
-    json.dump(count_faults(int(sys.argv[1]), Path(sys.argv[2]).resolve()), answers)
+    json.dump(count_faults(int(sys.argv[-2]), Path(sys.argv[-1]).resolve()), answers)
     answers.close()

@@ -3,16 +3,15 @@
 import json
 import os
 import shutil
-import subprocess
-import sys
 import time
 from pathlib import Path
 
 import pytest
 from aircraft_copies import of_jsbsim
 from cases import ALL
-from commands import children, environment
-from places import SHARED, TESTS
+from commands import children
+from forked import run_program
+from places import TESTS
 from snapshot import check_snapshot
 
 from testbed.airframes import airframe_grammar, airframe_validation, forked_trial
@@ -219,14 +218,11 @@ def test_engine_files_are_checked_in_every_folder(folder, name):
 def test_drawn_aircraft_write_and_run_nothing(tmp_path):
     """Aircraft of JSBSim's grammar, most of which try to act; TESTBED_AIRCRAFT is their number."""
     count = int(os.environ.get("TESTBED_AIRCRAFT", "8" if ALL else "5"))
-    done = subprocess.run(
-        [sys.executable, SHARED / "airframe_fuzz.py", str(count), tmp_path],
-        env=environment(80),
-        capture_output=True,
-        text=True,
+    code, output, errors = run_program(
+        "import airframe_fuzz; airframe_fuzz.answer()", count, tmp_path, folder=tmp_path.parent
     )
-    assert done.returncode == 0, done.stderr[-2000:]
-    found = json.loads(done.stdout)
+    assert code == 0, errors[-2000:]
+    found = json.loads(output)
     print(found["seen"])
     assert found["faults"] == []
     # some of both, or the aircraft test nothing
