@@ -23,6 +23,18 @@ def make(num_envs=3, **options):
     return gymnasium.make_vec(ID, num_envs=num_envs, **options)
 
 
+@pytest.fixture(scope="module")
+def twins():
+    """Two alike; a reset with a seed begins all their episodes."""
+    return make(duration_s=2.0), make(duration_s=2.0)
+
+
+@pytest.fixture(scope="module")
+def brief():
+    """Of episodes with three steps."""
+    return make(duration_s=0.6)
+
+
 def actions(count, seed, bound=0.3):
     return np.random.default_rng(seed).uniform(-bound, bound, (count, 3)).astype(np.float32)
 
@@ -87,8 +99,8 @@ def test_same_seed_gives_the_same_episodes():
     assert len({tuple(each) for each in flown[0][1]}) > 1
 
 
-def test_next_step_begins_the_next_episode():
-    envs = make(duration_s=0.6)
+def test_next_step_begins_the_next_episode(brief):
+    envs = brief
     assert envs.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
     envs.reset(seed=1)
     for _ in range(3):
@@ -167,23 +179,21 @@ def test_wrong_arguments_of_vectors_are_named(options, text):
 WRONG_ACTIONS = (np.zeros((2, 3)), np.zeros(3), "up", np.full((3, 3), np.nan))
 
 
-def test_refused_actions_keep_all_episodes():
-    envs, twin = make(), make()
-    for each in (envs, twin):
-        with pytest.raises(gymnasium.error.ResetNeeded):
-            each.step(np.zeros((3, 3)))
+def test_refused_actions_keep_all_episodes(twins):
+    envs, _ = twins
+    for each in twins:
         each.reset(seed=1)
     for step, wrong in enumerate(WRONG_ACTIONS):
         with pytest.raises(InputError, match="actions: "):
             envs.step(wrong)
         np.testing.assert_array_equal(
-            *(each.step(actions(3, step))[0] for each in (envs, twin)), err_msg=str(wrong)
+            *(each.step(actions(3, step))[0] for each in twins), err_msg=str(wrong)
         )
 
 
-def test_a_mask_begins_some_episodes_only():
-    envs, twin = make(duration_s=2.0), make(duration_s=2.0)
-    for each in (envs, twin):
+def test_a_mask_begins_some_episodes_only(twins):
+    envs, twin = twins
+    for each in twins:
         each.reset(seed=1)
         for step in range(3):
             each.step(actions(3, step))
@@ -198,9 +208,9 @@ def test_a_mask_begins_some_episodes_only():
     assert envs.step(actions(3, 9))[-1]["time_s"] == pytest.approx([0.22] * 3)
 
 
-def test_a_mask_begins_an_ended_episode():
+def test_a_mask_begins_an_ended_episode(brief):
     """The step after it flies; without a mask it would begin the next episode."""
-    envs = make(duration_s=0.6)
+    envs = brief
     envs.reset(seed=1)
     for _ in range(3):
         *_, truncated, _ = envs.step(np.zeros((3, 3)))
@@ -218,9 +228,9 @@ WRONG_OPTIONS = (
 )
 
 
-def test_wrong_options_keep_all_episodes():
-    envs, twin = make(duration_s=2.0), make(duration_s=2.0)
-    for each in (envs, twin):
+def test_wrong_options_keep_all_episodes(twins):
+    envs, _ = twins
+    for each in twins:
         each.reset(seed=1)
         each.step(actions(3, 0))
     for step, (options, text) in enumerate(WRONG_OPTIONS, 1):
@@ -228,12 +238,14 @@ def test_wrong_options_keep_all_episodes():
             envs.reset(seed=4, options=options)
         assert text in str(caught.value)
         np.testing.assert_array_equal(
-            *(each.step(actions(3, step))[0] for each in (envs, twin)), err_msg=str(options)
+            *(each.step(actions(3, step))[0] for each in twins), err_msg=str(options)
         )
 
 
 def test_a_mask_needs_episodes_and_whole_flights():
     envs = make()
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        envs.step(np.zeros((3, 3)))
     with pytest.raises(gymnasium.error.ResetNeeded, match="call reset"):
         envs.reset(options={"reset_mask": np.array([True, False, False])})
     flights = FormationVectorEnv(2, duration_s=1.0, starts=2)

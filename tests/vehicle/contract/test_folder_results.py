@@ -2,11 +2,10 @@
 
 import os
 import shutil
-import subprocess
-import sys
 
 import pytest
-from commands import environment
+from fresh import run_fresh
+from places import ROOT
 
 from testbed.core import kept_results
 from testbed.core.compile import cache_folder
@@ -141,44 +140,32 @@ from testbed.core.records import NedOrigin
 from testbed.vehicle.trim import InitialState
 
 start = InitialState((0.0, 0.0, -100.0))
-for line in sys.stdin:
+cache = Path(os.environ["NUMBA_CACHE_DIR"])
+for pair in ("01", "23"):
     children = []
-    for file in line.split():
+    for number in pair:
         children.append(os.fork())
         if not children[-1]:
-            placed = place_row(Path(sys.argv[1]), start, NedOrigin(), 100)
+            placed = place_row(Path("rascal110").resolve(), start, NedOrigin(), 100)
             text = f"{placed.row.tobytes().hex()} {placed.leads.tobytes().hex()} {placed.trim}"
-            Path(file).write_text(text)
+            Path(f"found-{number}").write_text(text)
             os._exit(0)
-    print([os.waitpid(each, 0)[1] for each in children], flush=True)
+    assert [os.waitpid(each, 0)[1] for each in children] == [0, 0]
+    assert len([*cache.glob("*/result-place-row-*")]) == 1
+    for each in cache.glob("*/result-*") if pair == "01" else ():
+        each.write_bytes(each.read_bytes()[: each.stat().st_size // 2])
 """
 
 
 def test_processes_at_once_have_one_result(folder, tmp_path):
     """They begin with machine code and no results, and with half of each result."""
-    cache, files = tmp_path / "cache", [tmp_path / f"found-{k}" for k in range(4)]
-    here = cache_folder()
+    cache, here = tmp_path / "cache", cache_folder()
     shutil.copytree(here, cache / here.name, ignore=shutil.ignore_patterns("result-*"))
-    with subprocess.Popen(
-        [sys.executable, "-c", TWO, str(folder)],
-        env={**environment(80), "NUMBA_CACHE_DIR": str(cache)},
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    ) as process:
-
-        def of_both(names):
-            process.stdin.write(" ".join(map(str, names)) + "\n")
-            process.stdin.flush()
-            assert process.stdout.readline() == "[0, 0]\n"
-
-        of_both(files[:2])
-        kept = [*cache.glob("*/result-place-row-*")]
-        assert len(kept) == 1
-        for each in cache.glob("*/result-*"):
-            each.write_bytes(each.read_bytes()[: each.stat().st_size // 2])
-        of_both(files[2:])
-    found = {each.read_text() for each in files}
+    env = {**os.environ, "NUMBA_CACHE_DIR": str(cache)}
+    code, _, errors = run_fresh(TWO, folder=tmp_path, paths=[ROOT], env=env)
+    assert code == 0, errors
+    found = {each.read_text() for each in tmp_path.glob("found-*")}
+    assert len([*tmp_path.glob("found-*")]) == 4
     assert len(found) == 1, "a result that is read differs from one that is made"
 
 
