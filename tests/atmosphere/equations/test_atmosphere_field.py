@@ -83,15 +83,15 @@ def flights(first):
 
 
 def resolved(along, lateral):
-    """Cross-spectra (3, F) per rad/m, two-sided, of the waves that the cells can carry."""
+    """Cross-spectra (A, 3, F) per rad/m, two-sided, of the waves that the cells can carry."""
     top = BAND_END * np.pi / FINEST
     nodes, weights = np.polynomial.legendre.leggauss(60)
     grid = np.concatenate([np.geomspace(1e-5, 0.1, 60)[:-1], np.arange(0.1, top, 0.1), [top]])
     middle, half = (grid[1:] + grid[:-1]) / 2, (grid[1:] - grid[:-1]) / 2
     k = np.concatenate([(m + h * nodes) for m, h in zip(middle, half, strict=True)])
     measure = np.concatenate([h * weights for h in half])
-    even, odd = jv(0, k * lateral), jv(2, k * lateral)
-    out = np.empty((3, len(along)))
+    even, odd = (jv(order, np.multiply.outer(lateral, k)) for order in (0, 2))
+    out = np.empty((len(lateral), 3, len(along)))
     for i, each in enumerate(along):
         whole = np.hypot(each, k)  # k across the flight
         share = level_energy(whole, np.array([FINEST]), 0) * measure * 2.0 * np.pi * k
@@ -102,7 +102,7 @@ def resolved(along, lateral):
         )
         for axis, shape in enumerate(shapes):
             density = energy(whole, SIGMA[axis], LENGTH[axis]) / (4.0 * np.pi * whole**4)
-            out[axis, i] = (share * density * shape).sum()
+            out[:, axis, i] = (share * density * shape).sum(axis=-1)
     return out
 
 
@@ -113,10 +113,8 @@ def expected():
     grid = unit * np.geomspace(2.0, BANDS[-1] + 2.0, 120)
     wave = np.arange(1, int(BANDS[-1]) + 1)
     out = []
-    for apart in APART:
-        forms = [
-            np.interp(np.log(unit * wave), np.log(grid), each) for each in resolved(grid, apart)
-        ]
+    for probe in resolved(grid, APART):
+        forms = [np.interp(np.log(unit * wave), np.log(grid), each) for each in probe]
         spectra = np.array(forms)
         # the window spreads a spectrum over its neighbours
         spread = spectra.copy()

@@ -6,6 +6,7 @@ from commands import call_command
 from PIL import Image
 
 from testbed.cli import demo
+from testbed.reports import figures
 
 
 @pytest.fixture
@@ -20,6 +21,8 @@ def short(monkeypatch):
         "PICTURE_S": 16.0,
     }.items():
         monkeypatch.setattr(demo, name, value)
+    if not ALL:
+        monkeypatch.setattr(figures, "MAKERS", figures.MAKERS[:1])  # drawing all takes seconds
 
 
 def test_demo_writes_film_picture_and_report(short, tmp_path):
