@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -149,9 +151,7 @@ class SampleBuffer:
 
     def _copy(self, sample: Sample, row: int) -> None:
         for path, column in self._columns.items():
-            name, _, field = path.partition(".")
-            value = getattr(sample, name)
-            _write(getattr(value, field) if field else value, column[row], path)
+            _write(_getter(path)(sample), column[row], path)
 
     def copy_last(self) -> SampleRows | None:
         """Copy the last sample; None: there is none."""
@@ -239,6 +239,9 @@ class LastSample(BlockObserver):
 
     def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:
         """Do nothing."""
+
+
+_getter = cache(attrgetter)
 
 
 def _write(array: NDArray[Any], target: NDArray[Any], name: str) -> None:
