@@ -18,6 +18,7 @@ from shells import run_shell, write_program
 from small_study import in_this_process
 
 from testbed.core.compile import cache_folder
+from testbed.reports import figures
 from testbed.scenario import library
 
 ACTION = yaml.safe_load((ROOT / "action.yml").read_text(encoding="utf-8"))
@@ -50,6 +51,7 @@ def repository(tmp_path_factory):
     (folder / "flights" / "pursuit.yaml").write_text(SCENARIO)
     shutil.copy(library() / "scenarios" / "leader_follower.py", folder / "flights" / "pursuit.py")
     options = ("--update", "--reason", "First flights of our law.", "--jobs", 1)
+    options += () if ALL else ("--seeds", 5)
     with in_this_process():
         call_command("check", "flights/pursuit.yaml", *options, cwd=folder, code=0, columns=100)
     return folder
@@ -132,8 +134,9 @@ def test_action_passes_with_a_summary(repository, tmp_path):
     assert {"expect.rms_m.max", "expect.min_separation_m.min"} <= names
 
 
-def test_action_fails_with_lines_and_a_report(repository, tmp_path):
+def test_action_fails_with_lines_and_a_report(repository, tmp_path, monkeypatch):
     """A weaker law: exit code 3, annotations at file and line, the summary, a flight to look at."""
+    monkeypatch.setattr(figures, "MAKERS", figures.MAKERS[:1])  # drawing all takes seconds
     changed = tmp_path / "changed"
     shutil.copytree(repository, changed)
     path = changed / "flights" / "pursuit.yaml"
