@@ -37,6 +37,7 @@ from testbed.flight_logs.flight_import import read_flight
 
 FLIGHT = recorded()
 SHORT = FLIGHT[:500]  # 20 s
+LOGGED = FLIGHT if ALL else FLIGHT[:1500]
 RASCAL = ROOT / "aircraft" / "rascal110"
 
 
@@ -53,11 +54,11 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def logs(folder):
     # a radio link that delays every row but the first by up to 39 ms
-    late = np.random.default_rng(7).uniform(0.0, 0.039, len(FLIGHT))
+    late = np.random.default_rng(7).uniform(0.0, 0.039, len(LOGGED))
     late[0] = 0.0
-    write_dataflash(folder / "flight.bin", FLIGHT)
+    write_dataflash(folder / "flight.bin", LOGGED)
     # the first record is of the ground station, at 0 s
-    write_tlog(folder / "flight.tlog", tlog_records(FLIGHT, late=late, boot_ms=123_456))
+    write_tlog(folder / "flight.tlog", tlog_records(LOGGED, late=late, boot_ms=123_456))
     return folder
 
 
@@ -69,7 +70,7 @@ TELEMETRY = {"v_down_mps": 0.00501, "altitude_m": 0.00051}
 
 @pytest.mark.parametrize(("kind", "coarser"), [("bin", {}), ("tlog", TELEMETRY)])
 def test_import_returns_the_flight(logs, kind, coarser):
-    check_import(logs, kind, coarser, FLIGHT)
+    check_import(logs, kind, coarser, LOGGED)
 
 
 def check_import(logs, kind, coarser, rows):

@@ -51,6 +51,16 @@ def run_info(followers=2, windows=None):
     )
 
 
+@cache
+def constants(n):
+    """Arrays of all samples of so many followers, which none may change."""
+    links = np.zeros((2, n, n + 1), dtype=np.uint32)
+    out = np.zeros(n + 1), np.zeros(n), np.zeros((n + 1, 3)), links, np.full((n, n + 1), np.nan)
+    for each in out:
+        each.flags.writeable = False
+    return out
+
+
 def make_sample(
     k,
     errors,
@@ -73,13 +83,12 @@ def make_sample(
     offsets = 20.0 * np.eye(n, 3) if offsets is None else np.array(offsets, dtype=float)
     leader = np.array([22.0 * k / FRAME_RATE_HZ, 5.0, -100.0])
     slot = leader + offsets
-    zeros, none = np.zeros(n + 1), np.zeros(n)
-    vectors = np.zeros((n + 1, 3))
+    zeros, none, vectors, links, ages = constants(n)
     state = VehicleState(
         position_ned=np.vstack([leader, slot + errors]),
         velocity_ned=vectors,
         acceleration_ned=vectors,
-        euler=np.vstack([[bank, 0.0, 0.0], np.full((n, 3), 9.0)]),
+        euler=np.array([[bank, 0.0, 0.0], *[[9.0] * 3] * n]),
         rates_body=vectors,
         airspeed=zeros,
         equivalent_airspeed=zeros,
@@ -99,11 +108,11 @@ def make_sample(
             *[none] * 7,
             limiter_flags=np.array(limiter_flags or [0] * n, dtype=np.uint8),
             saturations=np.array(saturations or [0] * n, dtype=np.uint8),
-            age_s=np.full((n, n + 1), np.nan),
+            age_s=ages,
             slot_index=np.arange(1, n + 1, dtype=np.uint32),
             estimated_error_ned=errors,
         ),
-        links=LinkCounters(*np.zeros((2, n, n + 1), dtype=np.uint32)),
+        links=LinkCounters(*links),
         lost=np.array([each in lost for each in range(n + 1)]),
     )
 
@@ -319,7 +328,7 @@ def test_joined_from_the_first_5_s_in_the_slot():
 @pytest.mark.parametrize("start", [SPAN - 126, SPAN - 125, SPAN - 1, SPAN, SPAN + 1])
 def test_joining_across_blocks_equals_a_plain_count(start):
     # the same rule sample by sample, without blocks
-    distances = [9.0] * start + [1.0] * 200 + [9.0] * 3 + [1.0] * SPAN
+    distances = [9.0] * start + [1.0] * 200 + [9.0] * 3 + [1.0] * 300
     assert joined(distances) == (start / FRAME_RATE_HZ, (start + 203) / FRAME_RATE_HZ)
 
 
