@@ -8,6 +8,7 @@ With REPOSITORY_URL in the environment each page has a link to the sources.
 from __future__ import annotations
 
 import argparse
+import gc
 import json
 import os
 import re
@@ -46,6 +47,7 @@ def main() -> int:
     root = options.repository.resolve()
     into = (options.into or root / "build").resolve()
     print("Building the site: half a minute", file=sys.stderr)
+    gc.set_threshold(300_000, 20, 50)  # the package that is read has as many objects
     try:
         write_sources(root, into)
     except ValueError as error:
