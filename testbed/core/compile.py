@@ -147,10 +147,20 @@ class CompiledFunction:
         return self.__qualname__
 
 
-def _compiled(function: F, make: Callable[[], Any]) -> F:
+class _CalledByAddress(CompiledFunction):
+    """An entry without numba's wrapper for Python, a call of which would end the process."""
+
+    def __call__(self, *args: Any, **named: Any) -> Any:  # noqa: ANN401
+        """Refuse it."""
+        raise TypeError(f"{self.__qualname__} is called by its address (make a call_list.Call)")
+
+
+def _compiled(
+    function: F, make: Callable[[], Any], kind: type[CompiledFunction] = CompiledFunction
+) -> F:
     if is_interpreted():
         return function
-    return CompiledFunction(function, make)  # type: ignore[return-value]
+    return kind(function, make)  # type: ignore[return-value]
 
 
 def kernel(function: F) -> F:
@@ -174,7 +184,9 @@ def checked_kernel(function: F) -> F:
 
 
 def entry_of_user_code(function: F, digest: str | None) -> F:
-    """Compile an entry that calls checked kernels.
+    """Compile an entry that calls checked kernels, and is called by its address alone.
+
+    Without numba's wrapper for Python, which unpacks all arguments, it compiles sooner.
 
     Args:
         function: as `entry` has it; it may use variables of the function that encloses it.
@@ -183,7 +195,12 @@ def entry_of_user_code(function: F, digest: str | None) -> F:
     if digest is not None:
         function.__name__ = function.__qualname__ = f"{function.__name__}_{digest[:32]}"
     by_name = None if digest is None else True
-    return _compiled(function, lambda: _make_entry(function, _CHECKED, by_name=by_name))
+    options = {**_CHECKED, "no_cpython_wrapper": True}
+
+    def make() -> Any:  # noqa: ANN401 - numba's
+        return _make_entry(function, options, by_name=by_name)
+
+    return _compiled(function, make, _CalledByAddress)
 
 
 def _make_kernel(function: Callable[..., Any], options: dict[str, Any]) -> Any:  # noqa: ANN401

@@ -46,20 +46,31 @@ print(records["x"].tolist(), hits)
 # of two functions with one name and types, which are too long to become part of their callers
 SCALED = f"""
 from math import sin
+import numpy as np
+from testbed.core.call_list import Call
 from testbed.core.compile import checked_kernel, entry_of_user_code
 
-def step_of(scale):
+def called(function, digest):
+    x = np.ones(1)
+    Call(entry_of_user_code(function, digest), x)(0.0)
+    return x[0]
+
+def scaled_one(scale):
     def scaled(x):
         {"; ".join(f"x += sin({k} * x)" for k in range(60))}
         return scale * x
 
     one = checked_kernel(scaled)
-    entry_of_user_code(lambda x: one(x), None)(1.0)  # compiled before anything is kept
 
     def step(x):
-        return one(x)
+        x[0] = one(x[0])
+        return 0
 
-    return entry_of_user_code(step, str(scale))
+    def before(x):
+        return int(one(x[0]))
+
+    called(before, None)  # compiled before anything is kept
+    return called(step, str(scale))
 """
 MAIN = "from testbed.cli.main import main; main()"
 
@@ -74,8 +85,8 @@ def package(tmp_path):
     (package / "__init__.py").touch()
     core = Path(compiling.__file__).parent
     for module in (
-        *("compile.py", "field_docs.py", "flags.py", "kept_files.py", "kernel_code.py"),
-        *("machine_code.py", "records.py"),
+        *("call_list.py", "compile.py", "field_docs.py", "flags.py", "kept_files.py"),
+        *("kernel_code.py", "machine_code.py", "records.py"),
     ):
         shutil.copy(core / module, package / "core")
     (package / "flight" / "stepping.py").write_text(ENTRY)
@@ -377,6 +388,12 @@ def test_prepare_stops_between_entries():
     assert len(first.signatures) == 1 and not second.signatures
 
 
+def test_python_cannot_call_an_entry_of_user_code():
+    """It has no wrapper for Python, so that a call would end the process."""
+    with pytest.raises(TypeError, match="is called by its address"):
+        compiling.entry_of_user_code(lambda x: x, None)(1.0)
+
+
 FLIGHT = """
 import testbed
 from testbed.scenario import load_scenario, set_duration
@@ -402,7 +419,7 @@ FunctionIdentity._unique_ids = itertools.count(1000)
 """
 
     def called(*scales):
-        values = f"[step_of(each)(1.0) for each in {scales}]"
+        values = f"[float(scaled_one(each)) for each in {scales}]"
         return json.loads(printed(package, script=f"{script}\nprint({values})"))
 
     (one,), (three,) = called(1.0), called(3.0)

@@ -21,7 +21,7 @@ typedef struct {
   double closing, field, approach, pitch, roll, throttle;
   double sum_speed, sum_climb;
   bool failed[MAX_N];
-  uint64_t n;
+  uint32_t n;  // with the above 64 words: the state needs no other kernel than that of none
 } Law;
 
 static double shared_speed;
