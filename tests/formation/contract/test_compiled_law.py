@@ -2,15 +2,13 @@
 
 import inspect
 import re
-import subprocess
-import sys
 import time
 
 import numpy as np
 import pytest
 from commands import environment
+from fresh import run_fresh
 from places import ROOT
-from waiting import TIMEOUT_S
 
 import testbed
 from testbed.core.code_digest import UnknownValueError, code_digest
@@ -152,7 +150,7 @@ def law_error(name, configured, **options):
 def test_kernel_flies_as_the_class_to_the_bit(chases, engine, tmp_path):
     change = f"scenario.engine={engine}"
     runs = [
-        fly(chases / name, change, folder=tmp_path)
+        fly(chases / name, change, duration=6.0, folder=tmp_path)
         for name in ("chase.yaml", "compiled_chase.yaml")
     ]
     (ours, metrics), (theirs, expected) = runs
@@ -288,15 +286,10 @@ def test_kernel_runs_as_python_in_a_debugger(chases):
     path = chases / "compiled_chase.yaml"
     imports = "import testbed\nfrom testbed.scenario import load_scenario, set_duration\n"
     text = f"{imports}{inspect.getsource(end_of)}print(end_of({str(path)!r}))"
-    done = subprocess.run(
-        [sys.executable, "-c", text],
-        env={**environment(80), "NUMBA_DISABLE_JIT": "1"},
-        capture_output=True,
-        text=True,
-        timeout=TIMEOUT_S,
-        check=True,
-    )
-    assert done.stdout.strip() == end_of(path) != ""
+    env = {**environment(80), "NUMBA_DISABLE_JIT": "1"}
+    code, output, errors = run_fresh(text, folder=chases, paths=[ROOT], env=env)
+    assert code == 0, errors
+    assert output.strip() == end_of(path) != ""
 
 
 # errors

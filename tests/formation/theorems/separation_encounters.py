@@ -7,9 +7,8 @@ the filter leaves of that. Control and messages are at 25 Hz.
 """
 
 import numpy as np
-from numba import njit
 
-from testbed.core.compile import kernel
+from testbed.core.compile import entry, kernel
 from testbed.core.records import FOLLOWER, LINK, MOTION
 from testbed.formation.hbh23 import LAW, NEIGHBOUR, reach_velocity, write_inputs
 from testbed.formation.paper_law import make_paper_law
@@ -134,7 +133,7 @@ def distance(a, b):
     return np.sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2)
 
 
-@njit
+@entry
 def meet(
     x, slots, velocities, leader, law, separation, filtered, lag, delay, lost, wind, distances, work
 ):

@@ -38,11 +38,17 @@ def law_of(name, options="{}", *changes):
     """The law of a scenario's three followers, and their configuration."""
     compiled = name in some(list_laws(), 2)
     settings = [f"controller.law={name}", f"controller.options={options}"] if compiled else []
-    scenario = load_scenario("simulation-3", [*settings, *changes])
-    built = build_control(resolve(scenario), scenario.controller, build_clock(scenario))
+    built = control_of(*settings, *changes)
     if compiled:
         return built.groups[0].law, built.config
     return Interpreted(name, yaml.safe_load(options), built), built.config
+
+
+@functools.cache
+def control_of(*changes):
+    """The control of a scenario; a law's `step` leaves it as it is."""
+    scenario = load_scenario("simulation-3", changes)
+    return build_control(resolve(scenario), scenario.controller, build_clock(scenario))
 
 
 @functools.cache
@@ -303,11 +309,14 @@ def responses(starts, *, bank_bias=0.0, until=60.0, **changes):
 
 
 def free_response(*coefficients, first, times):
-    """Output and its derivatives' response y(t) of y⁽ⁿ⁾ + … = 0 from first values."""
+    """Response y(t) of y⁽ⁿ⁾ + … = 0 from first values, at times of equal steps from 0."""
     n = len(coefficients)
     a = np.diag(np.ones(n - 1), 1)
     a[-1] = -np.array(coefficients[::-1])
-    return np.array([(expm(a * t) @ first)[0] for t in times])
+    step, found = expm(a * times[1]), [np.array(first)]
+    while len(found) < len(times):
+        found.append(step @ found[-1])
+    return np.array(found)[:, 0]
 
 
 def test_pid_responds_as_its_linear_loops():

@@ -266,20 +266,21 @@ def flight():
     state, segments = begin_flight(plan, held, dt=0.04, gains=gains), segment_records(plan)
     position, velocity = np.array([[640.0, -80.0, -100.0]]), np.array([[0.0, 22.0, 0.0]])
     leader, aircraft = make_unicycles(position, velocity, np.array([0.64])), allocate(AIRCRAFT, 1)
-    row, truth = np.zeros(1, dtype=np.intp), aircraft["truth"]
+    row, truth, estimate = np.zeros(1, dtype=np.intp), aircraft["truth"], aircraft["estimate"]
     rows, speed, turn = [], np.zeros(1), np.zeros(3)
+    # views, as numpy finds a field of records slowly
+    place, airspeed, euler = (truth[each] for each in ("position_ned", "airspeed", "euler"))
+    speed_command, omega = leader["speed_command"], leader["omega"]
+    part = state["memory"]["segment"]
     for k in range(1080 * 25):
         write_motion(leader, row, aircraft)
-        where = truth["position_ned"][0].tolist()
-        aircraft["estimate"] = truth
+        north, east, down = place[0].tolist()
+        estimate[:] = truth
         guide_unicycle(0, aircraft, segments, state, speed, turn)
         assert speed[0] == 22.0 and turn[0] == 0.0
-        leader["speed_command"], leader["omega"] = speed, turn
+        speed_command[:], omega[:] = speed, turn
         write_motion(leader, row, aircraft)
-        airspeed, bank = truth["airspeed"][0], truth["euler"][0, 0]
-        rows.append(
-            [k / 25.0, where[0], where[1], -where[2], airspeed, bank, state["memory"]["segment"][0]]
-        )
+        rows.append([k / 25.0, north, east, -down, airspeed[0], euler[0, 0], part[0]])
         advance(leader, 1.0 / 200.0, 8)
     return np.array(rows).T
 
