@@ -24,11 +24,12 @@ from testbed.commissioning.command_files import (
     write_response,
 )
 from testbed.compiled.compiled_fleet import make_compiled_fleet
-from testbed.core.call_list import Call, run_steps
+from testbed.core.call_list import Call, StepList
 from testbed.core.files import check_writable
 from testbed.core.records import (
     ActuatorCommand,
     Array,
+    FbwaCommand,
     NedOrigin,
     Records,
     VehicleState,
@@ -44,6 +45,14 @@ from testbed.vehicle.trim import InitialState, TrimPoint
 
 BASE_RATE_HZ = 200
 _PITCH, _AIRSPEED = RESPONSES.index("theta_rad"), RESPONSES.index("airspeed_mps")
+_HEIGHT = RESPONSES.index("altitude_m")
+# µs: the pulse of no deflection or throttle, and what one of 1 adds
+_PULSES = {
+    RESPONSES.index("pwm_ail"): (1500.0, 500.0),
+    RESPONSES.index("pwm_ele"): (1500.0, -500.0),
+    RESPONSES.index("pwm_thr"): (1000.0, 1000.0),
+    RESPONSES.index("pwm_rud"): (1500.0, -500.0),
+}
 
 
 class AircraftLost(RuntimeError):
@@ -261,11 +270,14 @@ def _fly(
     autopilots = settled_autopilots(gains, fleet.trimmed)
     aircraft, lost = fleet.aircraft, np.zeros(len(gains), dtype=bool)
     state, estimate = fields_of(VehicleState, aircraft["truth"]), aircraft["estimate"]
+    command = fields_of(FbwaCommand, aircraft["command"])
+    estimated = fields_of(VehicleState, estimate)
+    responses = _responses(aircraft)
     pitch_offset, airspeed_offset = offsets
     fly = Call(fly_by_wire_a, fleet.all_rows, *autopilots, aircraft)
     to_next = Move(np.zeros(1, dtype=np.intp), ~lost)
-    move = fleet.move_steps(to_next)
-    read_air = fleet.air_steps
+    control = StepList((fly, fleet.write_surfaces))
+    read_air, move = StepList(fleet.air_steps), StepList(fleet.move_steps(to_next))
     tick = ticks[0] // period * period
     row = 0
     while row < len(ticks):
@@ -273,54 +285,49 @@ def _fly(
             lost |= fleet.lost(state)
             if lost.all():
                 break
-            fleet.remove(lost)
+            if lost.any():
+                fleet.remove(lost)
             now = commands.values[row if ticks[row] <= tick else max(0, row - 1)]
-            for name, value in zip(("pitch", "roll", "throttle"), now[1:], strict=True):
-                aircraft["command"][name] = value
+            command.pitch[:], command.roll[:], command.throttle[:] = now[1:]
             estimate[...] = aircraft["truth"]
-            estimate["euler"][:, 1] += pitch_offset
-            for name in ("airspeed", "equivalent_airspeed"):
-                estimate[name] += airspeed_offset
-            run_steps((fly, fleet.write_surfaces), 0.0)
+            estimated.euler[:, 1] += pitch_offset
+            estimated.airspeed[:] += airspeed_offset
+            estimated.equivalent_airspeed[:] += airspeed_offset
+            control.run(0.0)
         if ticks[row] <= tick:
-            run_steps(read_air, 0.0)
-            values = _responses(aircraft)
-            values[:, _PITCH] += pitch_offset
-            values[:, _AIRSPEED] += airspeed_offset
-            values[lost] = np.nan
+            read_air.run(0.0)
+            first = row
+            for k, column in enumerate(responses):
+                rows[:, first, k] = column
+            rows[lost, first] = np.nan
             while row < len(ticks) and ticks[row] <= tick:
-                rows[:, row] = values
+                rows[:, row] = rows[:, first]
                 row += 1
         following = tick // period * period + period
         if row < len(ticks):
             following = min(following, ticks[row])
         to_next.steps[0] = following - tick
-        run_steps(move, 0.0)
+        move.run(0.0)
         tick = following
+    rows[:, :, _HEIGHT] *= -1.0
+    rows[:, :, _PITCH] += pitch_offset[:, np.newaxis]
+    rows[:, :, _AIRSPEED] += airspeed_offset[:, np.newaxis]
+    for k, (middle, scale) in _PULSES.items():
+        rows[:, :, k] = middle + scale * rows[:, :, k]
     return rows
 
 
-def _responses(aircraft: Records) -> Array:
-    """Return the columns of RESPONSES (N, 15) of records (N,) of AIRCRAFT."""
+def _responses(aircraft: Records) -> tuple[Array, ...]:
+    """View the columns of RESPONSES (N,) in records (N,) of AIRCRAFT: down, and no pulses yet."""
     state, air = fields_of(VehicleState, aircraft["truth"]), air_data(aircraft)
-    columns = (
+    surfaces = fields_of(ActuatorCommand, aircraft["surfaces"])
+    return (
         *state.euler.T,
         *state.rates_body.T,
         state.airspeed,
-        -state.position_ned[:, 2],
+        state.position_ned[:, 2],
         state.velocity_ned[:, 2],
         air.beta,
         air.alpha,
-        *_pwm(fields_of(ActuatorCommand, aircraft["surfaces"])),
-    )
-    return np.stack(columns, axis=-1)
-
-
-def _pwm(surfaces: ActuatorCommand) -> tuple[Array, ...]:
-    """Return aileron, elevator, throttle and rudder (N,), µs."""
-    return (
-        1500.0 + 500.0 * surfaces.aileron,
-        1500.0 - 500.0 * surfaces.elevator,
-        1000.0 + 1000.0 * surfaces.throttle,
-        1500.0 - 500.0 * surfaces.rudder,
+        *(surfaces.aileron, surfaces.elevator, surfaces.throttle, surfaces.rudder),
     )

@@ -159,6 +159,26 @@ class CallList:
         return len(self._calls)
 
 
+class StepList:
+    """Steps in order, as of `run_steps`; calls that follow one another run from compiled code."""
+
+    def __init__(self, steps: Sequence[Step]) -> None:
+        """See the class; nothing is compiled or called yet."""
+        self._steps = tuple(each if isinstance(each, tuple) else (each, None) for each in steps)
+        firsts = [first for first, _ in self._steps]
+        self._calls = CallList([each if isinstance(each, Call) else None for each in firsts])
+
+    def run(self, now: float) -> None:
+        """Run them at a time, s."""
+        number = -1
+        while (number := self._calls.run(number + 1, now)) < len(self._steps):
+            step, then = self._steps[number]
+            if then is not None:
+                then(now)
+            elif not isinstance(step, Call):
+                step(now)
+
+
 class CalledByAddress:
     """An entry, whose machine code is called by its address.
 
