@@ -27,8 +27,8 @@ def test_check_flies_and_says_what_it_found(binary, tmp_path):
 
 
 def test_check_fails_if_it_disarms(binary, tmp_path, monkeypatch):
-    monkeypatch.setenv("ARDUPLANE_STAND_IN", "disarm@1500")
-    monkeypatch.setattr("testbed.cli.arduplane.FLOWN_S", 12.0)
+    monkeypatch.setenv("ARDUPLANE_STAND_IN", "disarm@1000")
+    monkeypatch.setattr("testbed.cli.arduplane.FLOWN_S", 8.0)
     done = check(tmp_path, LOST)
     assert "ArduPlane has disarmed: motor off" in done.stdout
     assert "does not fly like the virtual autopilot" in done.stdout
