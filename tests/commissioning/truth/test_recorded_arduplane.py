@@ -14,9 +14,15 @@ import pytest
 from cases import ALL
 from places import ROOT
 
-from testbed.autopilot.parameters import AutopilotTiming, ParamError
-from testbed.commissioning.command_files import CommandsError, read_commands
-from testbed.commissioning.replay_commands import AircraftLost, respond
+from testbed.autopilot.parameters import AutopilotTiming, ParamError, read_params
+from testbed.commissioning.command_files import CommandsError, read_commands, rows_flown
+from testbed.commissioning.replay_commands import (
+    AircraftLost,
+    ReplayedAircraft,
+    ReplaySetup,
+    respond,
+)
+from testbed.commissioning.replay_commands import replay as fly_replay
 from testbed.vehicle.environment import JSBSIM_DEFAULT_INTEGRATORS
 
 RASCAL = ROOT / "aircraft" / "rascal110"
@@ -246,3 +252,7 @@ def test_replay_lost_aircraft_keeps_its_rows(tmp_path: Path) -> None:
     flown = np.genfromtxt(tmp_path / "out.csv", delimiter=",", names=True)
     assert 5 < len(flown["t_s"]) < 100
     assert flown["altitude_m"][-1] < 4.0  # where the ground may touch it, and a sample earlier
+    setup = ReplaySetup(read_params(RASCAL / "recorded.param"), altitude=10.0)
+    both = [ReplayedAircraft(RASCAL, 0.02, speed) for speed in (20.0, 28.0)]
+    flown = [rows_flown(each) for each in fly_replay(both, read_commands(commands), setup)]
+    assert 5 < flown[1] < flown[0] < 100  # the first flies on beside the lost one
