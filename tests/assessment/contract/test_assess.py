@@ -3,6 +3,7 @@
 import contextlib
 import json
 import shlex
+import shutil
 from functools import partial
 
 import pytest
@@ -17,7 +18,7 @@ from testbed.atmosphere.turbulence_field import make_field
 from testbed.pool.flight_task import run_task
 from testbed.reports.assessment_page import TITLES
 
-FLIGHT = ("assess", "ideal-figure-eight", "--duration", "30", "--flights", "2")
+FLIGHT = ("assess", "ideal-figure-eight", "--duration", "20", "--flights", "2")
 FEW = ("nominal", "loss", "leader-silent")  # rows that take least
 BOUNDS = ("--set", "expect.rms_m.max=47")
 
@@ -36,16 +37,44 @@ class Here:
             yield run_task(task)
 
 
+def fly_here(patch):
+    here = Here()
+    patch.setattr(module, "open_flight_pool", lambda **_: contextlib.nullcontext(here))
+    # few levels: how the value is found is tested with the search
+    patch.setattr(conditions, "geometric_levels", lambda *ends: list(ends))
+    if not ALL:  # the leader and one follower fail, in coarse fields for short flights
+        patch.setattr(measures, "MAX_VICTIMS", 2)
+        coarse = partial(make_field, path_m=1000.0, finest_m=8.0, widest_m=2400.0)
+        patch.setattr("testbed.plan.air.make_field", coarse)
+    return here
+
+
 @pytest.fixture
 def pool(monkeypatch):
-    here = Here()
-    monkeypatch.setattr(module, "open_flight_pool", lambda **_: contextlib.nullcontext(here))
-    # few levels: how the value is found is tested with the search
-    monkeypatch.setattr(conditions, "geometric_levels", lambda *ends: list(ends))
-    if not ALL:  # the leader and one follower fail, in fields of turbulence for short flights
-        monkeypatch.setattr(measures, "MAX_VICTIMS", 2)
-        monkeypatch.setattr("testbed.plan.air.make_field", partial(make_field, path_m=1000.0))
-    return here
+    return fly_here(monkeypatch)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """Folder of an assessment with all rows, and what was printed."""
+    folder = tmp_path_factory.mktemp("whole")
+    with pytest.MonkeyPatch.context() as patch:
+        fly_here(patch)
+        return folder, assess(folder, *BOUNDS).stdout
+
+
+@pytest.fixture
+def kept(whole, tmp_path):
+    """A function that returns the folder of a copy of it with some of its rows, to resume."""
+
+    def keep(*rows):
+        folder = shutil.copytree(whole[0], tmp_path / "copy")
+        for path in (folder / "found" / "rows").iterdir():
+            if path.stem not in rows:
+                path.unlink()
+        return folder
+
+    return keep
 
 
 def assess(folder, *words, code=0, flight=FLIGHT):
@@ -63,13 +92,13 @@ def without_times(document):
     return {key: value for key, value in found.items() if key != "command"}
 
 
-def test_a_page_has_all_rows(tmp_path, pool):
-    done = assess(tmp_path, *BOUNDS)
-    found = written(tmp_path)
-    page = (tmp_path / "found" / "assessment.html").read_text()
+def test_a_page_has_all_rows(whole):
+    folder, printed = whole
+    found = written(folder)
+    page = (folder / "found" / "assessment.html").read_text()
     assert list(found["rows"]) == list(ROWS)
     assert (found["verdict"], found["short"]) == ("go", [])
-    assert "go" in done.stdout
+    assert "go" in printed
     for name in ROWS:
         assert TITLES[name] in page or name == "nominal"
     for name in CONDITIONS:
@@ -85,16 +114,18 @@ def test_a_page_has_all_rows(tmp_path, pool):
     assert "no flight model" in found["rows"]["engine-out"]["flights"][0]["problem"]
 
 
-def test_a_flight_that_breaks_has_its_command(tmp_path, pool):
-    assess(tmp_path, *BOUNDS, "--only", "delay")
-    row = written(tmp_path)["rows"]["delay"]
+def test_a_flight_that_breaks_has_its_command(tmp_path, pool, kept):
+    folder = kept("delay")
+    assess(folder, *BOUNDS, "--only", "delay", "--resume")
+    assert pool.flown == []
+    row = written(folder)["rows"]["delay"]
     words = [*shlex.split(row["weakest"]["command"])[1:], "--quiet"]
     at = words.index(f"network.delay_s={row['weakest']['value']:g}")
     done = call_command(*words, "--out", tmp_path / "broken", cwd=tmp_path, code=3, columns=200)
     assert row["weakest"]["why"].split("; ")[0] in done.stderr + done.stdout
     words[at] = f"network.delay_s={row['value']:g}"
     call_command(*words, "--out", tmp_path / "kept", cwd=tmp_path, code=0, columns=200)
-    assert written(tmp_path)["verdict"] == "incomplete"
+    assert written(folder)["verdict"] == "incomplete"
 
 
 def test_a_bound_too_tight_is_a_nominal_row(tmp_path, pool):
@@ -110,36 +141,35 @@ def test_a_bound_too_tight_is_a_nominal_row(tmp_path, pool):
     assert page.count("no value") == len(CONDITIONS)
 
 
-def test_an_interrupted_assessment_goes_on(tmp_path, pool):
+def test_an_interrupted_assessment_goes_on(tmp_path, pool, kept):
     rows = ("nominal", "loss", "delay", "leader-silent", "radio-cut") if ALL else FEW
     cut = (len(rows) + 1) // 2
     only = [word for name in rows for word in ("--only", name)]
-    for name in ("whole", "cut"):
-        (tmp_path / name).mkdir()
-    assess(tmp_path / "whole", *BOUNDS, *only)
-    assert len(pool.flown) == len(rows)
-    pool.flown, pool.most = [], cut
+    (tmp_path / "cut").mkdir()
+    folder = kept(*rows)
+    assess(folder, *BOUNDS, *only, "--resume")
+    assert pool.flown == []
+    pool.most = cut
     done = assess(tmp_path / "cut", *BOUNDS, *only, code=130)
     assert "write --resume" in done.stderr
-    kept = {path.stem for path in (tmp_path / "cut" / "found" / "rows").iterdir()}
-    assert len(kept) == cut
+    assert len([*(tmp_path / "cut" / "found" / "rows").iterdir()]) == cut
     pool.flown, pool.most = [], 1000
     assess(tmp_path / "cut", *BOUNDS, *only, "--resume")
     assert len(pool.flown) == len(rows) - cut
-    both = written(tmp_path / "whole"), written(tmp_path / "cut")
+    both = written(folder), written(tmp_path / "cut")
     assert without_times(both[0]) == without_times(both[1])
     pool.flown = []
     done = assess(tmp_path / "cut", *BOUNDS, *only, "--resume")
     assert (pool.flown, done.stderr.count(": kept")) == ([], len(rows))
 
 
-def test_rows_of_a_changed_scenario_are_found_anew(tmp_path, pool):
+def test_rows_of_a_changed_scenario_are_found_anew(pool, kept):
+    folder = kept("nominal", "delay")
+    before = written(folder)
     only = ("--only", "nominal", "--only", "delay")
-    assess(tmp_path, *BOUNDS, *only)
-    before, pool.flown = written(tmp_path), []
-    assess(tmp_path, "--set", "expect.rms_m.max=46", *only, "--resume")
+    assess(folder, "--set", "expect.rms_m.max=46", *only, "--resume")
     assert len(pool.flown) == 2
-    assert written(tmp_path)["rows"]["delay"] != before["rows"]["delay"]
+    assert written(folder)["rows"]["delay"] != before["rows"]["delay"]
 
 
 def test_parameters_of_the_aircraft_are_compared(tmp_path, pool):
