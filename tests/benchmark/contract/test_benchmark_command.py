@@ -79,10 +79,10 @@ def test_verify_repeats_flights_to_the_bit(flown):
     done = command(*words, "--cells", "2", "--sample", "7", cwd=folder)
     assert done.stdout.count("equal to the bit") == 2
     assert open_law(f"{folder}/mine.py:Law").sha256 in done.stderr
-    one = command(*words, "--cell", "gentle/1/3", "--log", "logs", "--json", cwd=folder)
-    assert json.loads(one.stdout)["cells"] == [{"cell": "gentle/1/3", "different": []}]
-    logged = testbed.load_run(folder / "logs" / "gentle-1-3")
-    assert logged.time_s[-1] == pytest.approx(20.0) and "uav1" in logged.names
+    one = command(*words, "--cell", "gentle/1/2", "--log", "logs", "--json", cwd=folder)
+    assert json.loads(one.stdout)["cells"] == [{"cell": "gentle/1/2", "different": []}]
+    logged = testbed.load_run(folder / "logs" / "gentle-1-2")
+    assert logged.time_s[-1] == pytest.approx(14.0) and "uav1" in logged.names
     own = ("benchmark", "verify", folder / "out" / "results" / "hbh23.json", "--cells", "1")
     assert "equal to the bit" in command(*own, cwd=folder).stdout
 

@@ -32,7 +32,7 @@ def results(tasks, tmp_path_factory):
         write_law(
             folder / "crash.py",
             doc="Raise where the error is large.",
-            step="if now > 12.0 and abs(own.position_ned[0, 0]) > 200.0: raise ValueError('no')",
+            step="if now > 9.0 and abs(own.position_ned[0, 0]) > 70.0: raise ValueError('no')",
         ),
         write_law(
             folder / "opens.py",
