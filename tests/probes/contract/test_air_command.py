@@ -284,7 +284,7 @@ PLOTS = (
 
 @pytest.mark.parametrize(("name", "start"), PLOTS)
 def test_plot_is_reproducible(name, start, tmp_path):
-    """PDF and SVG, which have a date and ids, are drawn twice by the test of the network."""
+    """SVG, which has a date and ids, is drawn twice by the test of the network."""
     drawn = []
     for _ in range(2 if name == "a.png" and ALL else 1):
         done = air("--duration", 4, "--plot", tmp_path / name, sets=(f"{MODEL}=von-karman",))
