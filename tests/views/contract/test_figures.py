@@ -171,7 +171,8 @@ from testbed.views.panels import BLACK, FieldMap, Line, Panel, PanelGrid
 
 x = np.linspace(0.0, 30.0, 50)
 line = Line(x, np.sin(x), BLACK, "mean_error, 90° − $", marker="o")
-grid = PanelGrid("a_b", "50 % of 10^3", [[Panel("error_m", "time, s", "°", lines=[line])]], (1.0,))
+panel = Panel("error_m", "time, s", "°", lines=[line])
+grid = PanelGrid("a_b", "50 % of 10^3", [[panel]], (1.0,), (4.0, 3.0))
 digest = hashlib.sha256(figure_svg(grid).encode())
 for name in ("f.png", "f.pdf", "f.svg"):
     save_figure(grid, Path(sys.argv[1]) / name)
