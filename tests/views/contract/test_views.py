@@ -236,7 +236,7 @@ def test_unwritable_rrd_file_raises_at_begin(tmp_path):
         RerunView(RrdFile(tmp_path / "file" / "run.rrd")).begin(views_flight.info(2, 1.0))
 
 
-WHOLE_S = 60.0 if ALL else 20.0
+WHOLE_S = 60.0 if ALL else 12.0
 
 
 @pytest.fixture(scope="module")
