@@ -33,7 +33,7 @@ from testbed.sensors.sensor_errors import (
     make_sensor_errors,
     view_errors,
 )
-from testbed.sensors.sensor_step import estimate_motions
+from testbed.sensors.sensor_step import estimate_motions, warm_up_motions
 
 WARM_UP_S = 60.0  # straight flight of the filters before the run
 _NAVIGATION = ("gps", "barometer", "gyro", "accelerometer", "magnetometer")
@@ -97,19 +97,17 @@ class StateEstimators:
         """
         if self._sensors is None:
             return
-        errors, write_estimates, args = self._sensors
+        errors, _, args = self._sensors
         first = -round(WARM_UP_S * self._rate_hz)
         self._start_filters(view_errors(errors), first, aircraft["truth"])
         flown = allocate(AIRCRAFT, self._count)
-        truth, position = flown["truth"], aircraft["truth"]["position_ned"]
+        truth, position = flown["truth"], aircraft["truth"]["position_ned"].copy()
         truth[...] = aircraft["truth"]
         truth["acceleration_ned"] = truth["rates_body"] = 0.0
-        for step in range(first, 0):
-            truth["position_ned"] = position + step / self._rate_hz * truth["velocity_ned"]
-            self._step[0] = step
-            while write_estimates(*args, flown, True):
-                errors.numbers.refill()
-        self._step[0] = 0
+        self._step[0] = first
+        fly_on: Callable[..., bool] = warm_up_motions
+        while fly_on(*args, flown, position):
+            errors.numbers.refill()
 
     def steps(self, aircraft: Records) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
         """Return the steps that write the next estimates, and the present errors on the truth.

@@ -70,3 +70,50 @@ def estimate_motions(
         i = settings[m].row
         apply_errors(filters[m], errors[i], aircraft[i].estimate)
     return False
+
+
+@entry
+def warm_up_motions(
+    coefficients: Array,
+    values: Array,
+    errors: Records,
+    sensors: Records,
+    steps_per_s: int,
+    settings: Records,
+    filters: Records,
+    past: Records,
+    block: Array,
+    used: Indices,
+    step: Indices,
+    aircraft: Records,
+    start: Array,
+) -> bool:
+    """Step along straight lines until step 0; True: no random numbers are left for the next step.
+
+    Args:
+        coefficients: as those of `estimate_motions`.
+        values: the same.
+        errors: the same.
+        sensors: the same.
+        steps_per_s: Hz.
+        settings: as those of `estimate_motions`.
+        filters: the same.
+        past: the same.
+        block: the same.
+        used: the same.
+        step: (1,) number of the step, below 0; written.
+        aircraft: (N,) of AIRCRAFT; positions and `estimate` are written.
+        start: (N, 3) positions at step 0.
+    """
+    while step[0] < 0:
+        for i in range(len(aircraft)):
+            truth = aircraft[i].truth
+            for axis in range(3):
+                ahead = step[0] / steps_per_s * truth.velocity_ned[axis]
+                truth.position_ned[axis] = start[i, axis] + ahead
+        if estimate_motions(
+            *(coefficients, values, errors, sensors, steps_per_s, settings, filters, past),
+            *(block, used, step, aircraft, True),
+        ):
+            return True
+    return False
