@@ -340,7 +340,7 @@ def test_failing_viewers_do_not_change_or_delay_run(monkeypatch, tmp_path, caplo
     monkeypatch.setattr(sys, "platform", "linux")
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    page = set_duration(load_scenario("simulation-3"), 10.0)
+    page = set_duration(load_scenario("simulation-3"), 20.0)
 
     def flight(name, *watching):
         run(page, out=tmp_path / name, observers=watching)
@@ -360,13 +360,13 @@ def test_failing_viewers_do_not_change_or_delay_run(monkeypatch, tmp_path, caplo
         seen = tmp_path / f"{name}.rrd"
         with saving_viewer(seen) as (program, port), ProcessTime() as given:
             view = Watched(
-                LiveViewer(port=port), given, 150, functools.partial(strike, program, number, seen)
+                LiveViewer(port=port), given, 250, functools.partial(strike, program, number, seen)
             )
             assert same(flight(name, view), alone)
             process = view.feeding
         # the frozen viewer is killed by now, and the feeding process ends by itself
         process.wait(TIMEOUT_S)
-        assert view.sample == 251 and view.waited < 1.0
+        assert view.sample == 501 and view.waited < 1.0
         assert len(warnings_of(caplog)) <= 1
         if name == "killed":
             assert "closed" in warnings_of(caplog)[0]
