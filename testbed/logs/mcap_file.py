@@ -469,6 +469,8 @@ def _chunk_records(data: bytes) -> Iterator[McapRecord | _Message]:
     while at < len(data):
         opcode, length = _RECORD_HEAD.unpack_from(data, at)
         at, end = at + _RECORD_HEAD.size, at + _RECORD_HEAD.size + length
+        if end > len(data):  # of a chunk without a checksum
+            raise EndOfFile
         if opcode == Opcode.MESSAGE:
             channel, time_ns = _MESSAGE_HEAD.unpack_from(data, at)
             yield channel, time_ns, data[at + _MESSAGE_HEAD.size : end]

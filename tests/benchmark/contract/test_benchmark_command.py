@@ -68,6 +68,7 @@ def test_files_of_a_benchmark(flown):
     assert document["tables"][0]["standings"][0]["entry"] == "hbh23"
     assert re.search(r"1 +hbh23 +\d+\.\d\d m", done.stdout)
     page = (out / "benchmark.html").read_text()
+    assert open_law(f"{folder}/mine.py:Law").sha256 in page
     assert "<script" not in page
     assert page.count("http") == 0
 

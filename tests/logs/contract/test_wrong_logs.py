@@ -8,6 +8,8 @@ import mcap.records
 import numpy as np
 import pytest
 from commands import call_command
+from mcap.opcode import Opcode
+from mcap.stream_reader import get_chunk_data_stream
 from mutations import ATTACHMENT, MAGIC, content_of, joined, split_records
 from record_flight import event, record, run_info, run_samples
 
@@ -162,6 +164,26 @@ def test_messages_after_the_last_state_are_left_out(tmp_path, monkeypatch):
     assert log.tick.tolist() == whole.tick[:-2].tolist()
     for own, other in zip(log.formation, whole.formation, strict=True):
         np.testing.assert_array_equal(own, other[:-2])
+
+
+@pytest.mark.parametrize("bytes_more", (0, 1))
+def test_record_longer_than_its_chunk_is_refused(tmp_path, bytes_more):
+    """In a chunk without compression and checksum; one of its length is read."""
+    path = write_log(tmp_path / "run.mcap")
+    found = split_records(path.read_bytes()[: -len(MAGIC)], len(MAGIC))
+    each = next(each for each in found if each[0] == Opcode.CHUNK)
+    made = mcap.records.Chunk.read(mcap.data_stream.ReadDataStream(io.BytesIO(each[1])))
+    stream, size = get_chunk_data_stream(made)
+    unknown = bytes([0xFF]) + (8 + bytes_more).to_bytes(8, "little") + bytes(8)
+    made.data, made.compression, made.uncompressed_crc = stream.read(size) + unknown, "", 0
+    made.uncompressed_size = len(made.data)
+    each[1] = content_of(made)
+    path.write_bytes(MAGIC + joined(found) + MAGIC)
+    if bytes_more:
+        with pytest.raises(LogError, match="damaged after byte"):
+            mcap_file.read(path)
+    else:
+        assert mcap_file.read(path).messages
 
 
 def test_many_aircraft_of_few_messages_are_refused(tmp_path):
