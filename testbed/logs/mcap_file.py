@@ -441,7 +441,7 @@ class _Start:
         return self._file.tell()
 
 
-class _Reader(StreamReader):
+class _WithoutIndexes(StreamReader):
     """The library's reader, with empty indexes of messages: each of their numbers takes a call."""
 
     def _read_record(self, opcode: int, length: int) -> McapRecord | None:
@@ -453,7 +453,7 @@ class _Reader(StreamReader):
 
 def _records(source: Any) -> Iterator[McapRecord | _Message]:  # noqa: ANN401 - a library's source
     """Read records of a file one by one: a chunk may hold millions."""
-    for record in _Reader(source, emit_chunks=True, validate_crcs=True).records:
+    for record in _WithoutIndexes(source, emit_chunks=True, validate_crcs=True).records:
         if isinstance(record, records.Message):
             yield record.channel_id, record.log_time, record.data
         elif not isinstance(record, records.Chunk):

@@ -5,6 +5,7 @@ import shutil
 import sys
 import types
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Literal, Union, get_args, get_origin
 
@@ -214,13 +215,17 @@ def record_opened(event, arguments):
         OPENED.add(os.path.realpath(arguments[0]))
 
 
-sys.addaudithook(record_opened)
+@cache
+def record():
+    """Record from now on; an audit hook stays to the end of the process, and takes its time."""
+    sys.addaudithook(record_opened)
 
 
 @contextmanager
 def opened():
     """Yield the set of the files that are opened in the block, by Python."""
     global OPENED
+    record()
     OPENED = found = set()
     try:
         yield found
