@@ -147,7 +147,7 @@ class CompiledFunction:
         return self.__qualname__
 
 
-class _CalledByAddress(CompiledFunction):
+class _NotFromPython(CompiledFunction):
     """An entry without numba's wrapper for Python, a call of which would end the process."""
 
     def __call__(self, *args: Any, **named: Any) -> Any:  # noqa: ANN401
@@ -200,7 +200,7 @@ def entry_of_user_code(function: F, digest: str | None) -> F:
     def make() -> Any:  # noqa: ANN401 - numba's
         return _make_entry(function, options, by_name=by_name)
 
-    return _compiled(function, make, _CalledByAddress)
+    return _compiled(function, make, _NotFromPython)
 
 
 def _make_kernel(function: Callable[..., Any], options: dict[str, Any]) -> Any:  # noqa: ANN401

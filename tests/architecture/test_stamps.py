@@ -79,6 +79,8 @@ def test_commands_decide_by_their_names(file, counts, changed):
 
 UNKNOWN = (
     *("print(testbed)", "getattr(testbed, 'run')", "vars(testbed._MODULES)"),
+    *("import testbed as t", "from testbed import *", "run('from testbed import (run)')"),
+    *("from places import ROOT as HERE", "places.ROOT / 'docs'"),
     *("call(cwd=ROOT)", "HERE = ROOT", "ROOT.rglob('*')", "ROOT / name", "open(__file__)"),
 )
 

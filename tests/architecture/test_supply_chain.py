@@ -57,7 +57,8 @@ def jobs():
 def test_every_pin_is_one_version_with_hashes(release, name):
     text = (ROOT / name).read_text(encoding="utf-8")
     found = release("locked").pins(text)
-    assert len(found) == len(re.findall(r"^[A-Za-z0-9]", text, re.M)) >= 1
+    least = 1 if name == "release/installer.lock" else 6
+    assert len(found) == len(re.findall(r"^[A-Za-z0-9]", text, re.M)) >= least
     assert "://" not in text and "--index-url" not in text  # independent of the index
 
 

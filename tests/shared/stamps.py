@@ -152,8 +152,14 @@ def reached(path):
             for names in IN_TEXT.findall(node.value):
                 modules.update(module_of(f"testbed.{each}") for each in names.split(", "))
             words.update(re.findall(r"[\w-]+", node.value))
+            everything |= "from testbed import (" in node.value
         elif isinstance(node, ast.ImportFrom) and node.module == "testbed":
             modules.update(module_of(f"testbed.{each.name}") for each in node.names)
+            everything |= node.names[0].name == "*"
+        elif isinstance(node, ast.alias) and node.name in ("testbed", *FOLDERS):
+            everything |= node.asname is not None
+        elif isinstance(node, ast.Attribute) and node.attr in FOLDERS:
+            everything = True
         elif isinstance(node, ast.Name) and node.id == "testbed":
             named = isinstance(parent, ast.Attribute) and not parent.attr.startswith("_")
             modules.update([module_of(f"testbed.{parent.attr}")] if named else ())
@@ -205,7 +211,7 @@ def decisive(path):
         added = set().union(*map(module_files, names))
         for each in set().union(*(each.paths for each in found)) - paths:
             paths.add(each)
-            added.update(one for one in programs() if is_below(one, each))
+            added.update(one for one in programs() if one.is_relative_to(each))
         new = frozenset().union(*map(closure, added - files)) - files
     return files, {each.relative_to(ROOT).as_posix() for each in paths}
 
@@ -219,10 +225,6 @@ def is_outside(path):
 @cache
 def programs():
     return [path for path in repository() if path.suffix == ".py"]
-
-
-def is_below(path, folder):
-    return path == folder or path.is_relative_to(folder)
 
 
 def environment():

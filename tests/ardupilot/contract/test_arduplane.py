@@ -89,7 +89,7 @@ def test_virtual_autopilots_beside_it_are_unchanged(binary):
 
 
 def test_four_arduplanes_hold_slots_like_virtual(binary):
-    """Fly all of Simulation 3 if TESTBED_ARDUPLANE_WHOLE is set, else 4 s from the slots."""
+    """Fly all of Simulation 3 if TESTBED_ARDUPLANE_WHOLE is set, else 5 s from the slots."""
     rate, sitl = "rates.physics_hz=200", "autopilot={kind: virtual, gyro_filter: sitl}"
     own = [rate, f"leader.{sitl}", f"fleet.*.{sitl}"]
     four = [rate, f"leader.autopilot={ardupilot()}"]
@@ -100,9 +100,9 @@ def test_four_arduplanes_hold_slots_like_virtual(binary):
     else:
         slots = load_scenario("simulation-3").formation.offsets_m.items()
         there = [f"fleet.{name}.start_m={list(slot)}" for name, slot in slots]
-        windows = {"on the way": (3.5, 4.0)}
+        windows = {"on the way": (2.0, 5.0)}
         scenario, virtual = (
-            set_duration(load_scenario("simulation-3", [*there, *o]), 4.0) for o in (four, own)
+            set_duration(load_scenario("simulation-3", [*there, *o]), 5.0) for o in (four, own)
         )
     real, ours = fly(scenario), fly(virtual)
     for begin, end in windows.values():
