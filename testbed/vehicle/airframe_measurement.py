@@ -42,12 +42,14 @@ def find_traits(model: JsbsimModel) -> Traits:
     """Find traits by commands in flight; `model` must assume rudder and lag."""
     model.probe_speed = find_probe_speed(model)
     ahead = Placement((model.probe_speed, 0.0, 0.0), STILL, 0.0, 0.0, 0.0)
-    neutral = Controls(0.0, 0.0, 0.0, 0.0)
+    # at throttle 0 the propeller of a motor creeps without end; most piston engines stand there
+    throttle = 0.0 if model.power.burns_fuel else 0.5
+    neutral = Controls(0.0, 0.0, 0.0, throttle)
     model.locate((0.0, 0.0, -1000.0), NedOrigin())
     before = model.accelerations(ahead, neutral, spin=True)
-    yawed = model.accelerations(ahead, Controls(0.0, 0.0, 0.5, 0.0), spin=True)
+    yawed = model.accelerations(ahead, Controls(0.0, 0.0, 0.5, throttle), spin=True)
     model.accelerations(ahead, neutral, spin=True)
-    pulled = Controls(0.1, 0.1, 0.0, 0.0)
+    pulled = Controls(0.1, 0.1, 0.0, throttle)
     has_lag = _surfaces_lag(model, ahead, pulled)
     model.accelerations(ahead, neutral, spin=True)
     moved = model.accelerations_after_no_time(pulled)

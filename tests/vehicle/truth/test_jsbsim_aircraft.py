@@ -17,6 +17,7 @@ from testbed.core.errors import InputError
 from testbed.core.frames import FOOT, GRAVITY
 from testbed.core.records import ActuatorCommand, NedOrigin
 from testbed.scenario import library
+from testbed.vehicle import jsbsim_adapter, jsbsim_model
 from testbed.vehicle.fleet import JsbsimFleet, place_model
 from testbed.vehicle.jsbsim_adapter import (
     airframe,
@@ -240,6 +241,15 @@ def test_rate_of_incidence_is_no_lag(folders, tmp_path):
     )
     pattern = r'(<summer name="Pitch Trim Sum">\s*<input>)\s*fcs/elevator-cmd-norm'
     assert placed(changed(folders["c172p"], tmp_path, (pattern, servo))).has_lag
+
+
+def test_traits_are_those_of_settled_motors(monkeypatch):
+    """Traits of an aircraft whose propeller never settles would be those of some last step."""
+    x8 = library() / "aircraft" / "skywalker_x8"
+    found = jsbsim_adapter._find_traits(x8)
+    monkeypatch.setattr(jsbsim_model, "_MAX_SPIN_STEPS", 2001)
+    assert jsbsim_adapter._find_traits._function(x8) == found
+    assert not found.has_rudder
 
 
 def test_electric_twin_is_translated(tmp_path):
