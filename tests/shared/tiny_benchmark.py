@@ -1,4 +1,4 @@
-"""A benchmark of two tasks of 14 s and few seeds, flown in this process's copies, for tests."""
+"""A benchmark of two tasks of 8 s and few seeds, flown in this process's copies, for tests."""
 
 import hashlib
 import json
@@ -42,14 +42,14 @@ TASK = """task:
   name: {name}
   question: Does it fly?
   scenario: four.yaml
-  duration_s: 14
-  window_s: [8, 14]
+  duration_s: 8
+  window_s: [4, 8]
   set: {{leader.path.bank_limit_deg: {bank}}}
 
 levels:
   - draw:
       starts_m: [4, 4, 2]
-      legs_m: [300, 400]
+      legs_m: [200, 250]
       turns_deg: [40, 50]
       sides: both
       climbs_m: [0, 0]

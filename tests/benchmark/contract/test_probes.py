@@ -23,13 +23,20 @@ def _one_bank(monkeypatch):
     monkeypatch.setattr(probes, "BANKS_DEG", BANKS_DEG)
 
 
-def test_the_papers_law_needs_all_messages(tasks):
+def test_the_papers_law_needs_all_messages(tasks, monkeypatch):
     """Its margins are the least of all followers and commands, as `testbed margins` has them."""
+    entry = ["controller.law=hbh23"]
+    scenario = load_scenario(tasks / "four.yaml", entry).with_set_keys(SetKeys())
+    turns = {each: predict_margins(scenario, each, 0.0) for each in directions(0.0)}
+    expected = worse_prediction([*turns.values()])
+
+    def predicted(of, bank_deg, *args):
+        assert (of, args) == (scenario, (0.0,))
+        return turns[bank_deg]
+
+    monkeypatch.setattr(probes, "predict_margins", predicted)
     found = probes.probe_entry(EntryLaw("hbh23"), {}, folder=tasks, limits=LIMITS)
     assert found["messages"] == {"neighbours": True, "per_s": 75.0}
-    scenario = load_scenario(tasks / "four.yaml").with_set_keys(SetKeys())
-    turns = [predict_margins(scenario, each, 0.0) for each in directions(0.0)]
-    expected = worse_prediction(turns)
     commands = [each for of in expected.followers for each in of.commands.values()]
     (row,) = found["margins"]
     assert row["factor"] == min(each.gain for each in commands)

@@ -18,7 +18,7 @@ from testbed.formation.paper_law import make_paper_law
 from testbed.formation.separation_filter import desired_acceleration
 
 COUNT = int(os.environ.get("TESTBED_SEPARATION", "120"))
-RASCALS = max(COUNT // 10, 12 if ALL else 6)
+RASCALS = max(COUNT // 10, 12) if ALL else 3
 OF_LARGE_SAMPLES = [] if "TESTBED_SEPARATION" in os.environ else [in_full]
 SEPARATION_M = 6.0
 LATE = {"lag": 0.4, "delay_s": 0.2, "loss": 0.2}  # roll lag and messages
@@ -143,5 +143,5 @@ def test_rascals_keep_6_m_with_the_margin_of_the_docs(followers, late):
 
 
 def test_rascals_without_the_filter_come_closer():
-    among, _ = fly_rascals(12 if ALL else 6, settings=("controller.safety=null",))
+    among, _ = fly_rascals(12 if ALL else 4, settings=("controller.safety=null",))
     assert (among < SEPARATION_M).mean() > 0.4
