@@ -7,7 +7,6 @@ wrote, for tests with arrays of agents and for comparisons with the reference.
 from __future__ import annotations
 
 from dataclasses import fields
-from functools import lru_cache
 from math import inf, nan
 
 import numpy as np
@@ -26,7 +25,7 @@ from reference.formation_middle_loop import (
 from reference.unicycle import Unicycle
 from testbed.autopilot import fbwa as product_fbwa
 from testbed.core import velocity_frame as frames
-from testbed.core.compile import entry
+from testbed.core.compile import entry, kernel
 from testbed.core.records import (
     AIRCRAFT,
     COMMAND,
@@ -61,15 +60,6 @@ def _dense(array, *shape):
     out = np.empty(shape)
     out[...] = array
     return out
-
-
-@lru_cache(maxsize=8)
-def _scratch(function, dtype, *shape):
-    """Records for calls of a function, each of which writes the same fields; others are zero.
-
-    An integration makes thousands of calls, and those of LAW are 33 kB each: they have tables.
-    """
-    return allocate(dtype, *shape)
 
 
 # whole steps
@@ -367,8 +357,7 @@ def _estimate(law, links, memory, time_s, angles):
 def formation_error(own, own_slot, others, other_slots, gains):
     """As `formation_laws.formation_error`: slots as offsets in a frame that points north."""
     shape = gains.shape[:2]
-    neighbours, links = (_scratch(formation_error, each, *shape) for each in (NEIGHBOUR, LINK))
-    law = _scratch(formation_error, LAW, 1)
+    neighbours, links, law = allocate(NEIGHBOUR, *shape), allocate(LINK, *shape), allocate(LAW, 1)
     neighbours["gain"], neighbours["offset"] = gains, other_slots
     links["position_ned"] = others
     law["neighbour_timeout_s"] = inf
@@ -393,7 +382,7 @@ def _errors(law, own, own_slot, links, neighbours, out):
 def desired_velocity(v_g, a_g, chi_rate, chi_acceleration, xi, xi_rate, k, function, speeds):
     """As `formation_laws.desired_velocity`; S_d is applied here, as `hbh23` does."""
     n = len(k)
-    law, out = _scratch(desired_velocity, LAW, n), np.empty((n, 8))
+    law, out = allocate(LAW, n), np.empty((n, 8))
     law["k"] = k
     _write_tuples(law, function)
     vectors = np.stack([v_g, a_g, chi_rate, chi_acceleration, xi, xi_rate], axis=1)
@@ -429,7 +418,7 @@ def _desired(law, vectors, out):
 
 def speed_control(speed, desired, a, b, pole, barrier, speeds):
     """As `formation_laws.speed_control`."""
-    law, out = _scratch(speed_control, LAW, len(speed)), np.empty(len(speed))
+    law, out = allocate(LAW, len(speed)), np.empty(len(speed))
     law["a"], law["b"], law["speed_pole"] = a, b, pole
     _write_tuples(law, None, barrier, speeds)
     n = len(speed)
@@ -461,6 +450,108 @@ def _turn_controls(velocity, direction, direction_rate, c, out):
         out[0, i], out[1, i] = hbh23.turn_control(
             velocity[i], direction[i], direction_rate[i], c[i]
         )
+
+
+# all of them, for formations of which each agent knows its own and its leader's motion as it is
+
+FOLLOWED = np.dtype(
+    [
+        ("xi", "f8", 3),  # (6)
+        *((name, "f8") for name in ("speed", "speed_rate")),  # (8), (11), and S_d
+        *((name, "f8", 3) for name in ("direction", "direction_rate")),  # (9), (12)
+        ("clamped", "?"),
+        ("u", "f8"),  # (14)
+        ("omega", "f8", 3),  # (15)
+        ("y_rate", "f8", 3),  # (3)
+    ]
+)
+
+
+def follower_records(formations):
+    """Pack gains and offsets of M formations of n agents, and their messages, which are written.
+
+    Returns:
+        (M n) of LAW, (M n, n + 1) of NEIGHBOUR, (M, n + 1) of LINK, all alike for `follow`.
+    """
+    m, n = formations.offsets.shape[:2]
+    law, neighbours = allocate(LAW, m * n), allocate(NEIGHBOUR, m * n, n + 1)
+    law["neighbour_timeout_s"], law["speed_pole"] = inf, formations.pole
+    for name in ("k", "a", "b", "c"):
+        law[name] = getattr(formations, name)
+    _write_tuples(law, formations.mu, formations.barrier, formations.speeds)
+    neighbours["gain"] = formations.gains
+    neighbours["offset"][:, 1:] = np.repeat(formations.offsets, n, axis=0)
+    return law, neighbours, allocate(LINK, m, n + 1)
+
+
+def follow(records, motion, slots_now, q, velocity, s):
+    """Compute what the law commands, and ẏ.
+
+    Args:
+        records: of `follower_records`.
+        motion: q_g, q̇_g, q̈_g and ω_g (4, M, 3) of the leaders.
+        slots_now: χ, χ̇, χ̈ (3, M, n, 3).
+        q: (M n, 3) m.
+        velocity: (M n, 3) m/s.
+        s: (M n,) m/s.
+
+    Returns:
+        (M n,) of FOLLOWED.
+    """
+    out = np.zeros(len(s), FOLLOWED)
+    _follow(*records, motion, slots_now, q, velocity, s, out)
+    return out
+
+
+@kernel
+def _triple(x):
+    return x[0], x[1], x[2]
+
+
+@entry
+def _follow(laws, neighbours, links, motion, slots_now, q, velocity, s, out):
+    n = slots_now.shape[2]
+    for i in range(len(s)):
+        link = links[i // n, i % n + 1]
+        for axis in range(3):
+            link.position_ned[axis], link.velocity_ned[axis] = q[i, axis], velocity[i, axis]
+    for i in range(len(s)):
+        law, found, m, k = laws[i], out[i], i // n, i % n
+        q_g, v_g = _triple(motion[0, m]), _triple(motion[1, m])
+        chi = (
+            _triple(slots_now[0, m, k]),
+            _triple(slots_now[1, m, k]),
+            _triple(slots_now[2, m, k]),
+        )
+        v = _triple(velocity[i])
+        frame = frames.frame_angles(v_g[0], v_g[1], v_g[2])
+        xi, xi_rate = hbh23.formation_error(
+            law,
+            0.0,
+            _triple(q[i]),
+            v,
+            (q_g, v_g),
+            chi,
+            frame,
+            _triple(motion[3, m]),
+            links[m],
+            neighbours[i],
+        )
+        s_d, s_d_rate, y_d, y_d_rate = hbh23.desired_velocity(
+            law, v_g, _triple(motion[2, m]), chi[1], chi[2], xi, xi_rate
+        )
+        limited = min(max(s_d, law.speed_desired_min), law.speed_desired_max)
+        found.clamped = limited != s_d
+        s_d_rate = 0.0 if found.clamped else s_d_rate
+        found.speed, found.speed_rate = limited, s_d_rate
+        found.u = hbh23.speed_control(law, s[i], limited, s_d_rate, law.speed_min, law.speed_max)
+        pitching, yawing = hbh23.turn_control(v, y_d, y_d_rate, law.c)
+        found.omega[1], found.omega[2] = pitching, yawing
+        # (3) with v = e1: ẏ = R [ω]x e1 = ω3 (right) − ω2 (down)
+        y_rate = frames.to_ned(frames.frame_angles(v[0], v[1], v[2]), 0.0, yawing, -pitching)
+        for axis in range(3):
+            found.xi[axis], found.direction[axis] = xi[axis], y_d[axis]
+            found.direction_rate[axis], found.y_rate[axis] = y_d_rate[axis], y_rate[axis]
 
 
 # the ideal vehicle

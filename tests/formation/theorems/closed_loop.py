@@ -6,19 +6,11 @@ the tests' own: classical Runge-Kutta of order 4, with the law evaluated at ever
 """
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from reference.adapters import (
-    desired_velocity,
-    formation_error,
-    frame_rate,
-    h,
-    speed_control,
-    turn_control,
-    velocity_frame,
-)
+from reference.adapters import follow, follower_records, frame_rate, h, velocity_frame
 from reference.adapters import slot_motions as slots
 from reference.formation_laws import Desired, SpeedSet
 
@@ -96,51 +88,40 @@ class Formations:
 
     @lru_cache(maxsize=3)  # noqa: B019 - the times of one step, which stages and looks share
     def targets(self, t):
-        """What the leader and the slots do at the time t: q_g, q̇_g, q̈_g; χ, χ̇, χ̈ (M, n, 3)."""
+        """What leader and slots do at the time t: q_g, q̇_g, q̈_g, ω_g; χ, χ̇, χ̈ (M, n, 3)."""
         motion = self.leader.motion(t)
         rate, acceleration = self.leader.turn(t)
         # slots are linear in the offset: those of the unit offsets give all
         units = slots(velocity_frame(motion[1]), rate, acceleration, np.eye(3))
-        return motion, tuple(self.offsets @ each for each in units)
+        return np.stack([*motion, rate]), np.stack([self.offsets @ each for each in units])
+
+    @cached_property
+    def records(self):
+        """What the kernels know of the agents."""
+        return follower_records(self)
+
+    def follow(self, t, state):
+        """What the kernels compute at one state, and its rate."""
+        velocity = state.s[:, None] * state.y
+        found = follow(self.records, *self.targets(t), state.q, velocity, state.s)
+        return found, State(velocity, found["y_rate"], self.pole * (found["u"] - state.s))
 
     def wanted(self, t, state):
         """The law and the model (1)-(4) with f = −p s, g = p, at one state."""
-        q, y, s = state
-        m, n = self.offsets.shape[:2]
-        (q_g, v_g, w_g), (chi, chi_rate, chi_acceleration) = self.targets(t)
-        velocity = s[:, None] * y
-        flat = [each.reshape(m * n, 3) for each in (chi, chi_rate, chi_acceleration)]
-
-        def received(leader, agents):
-            all_rows = np.concatenate([leader[:, None], agents.reshape(m, n, 3)], axis=1)
-            return np.repeat(all_rows, n, axis=0)
-
-        nought = np.zeros((m, 3))
-        xi = formation_error(q, flat[0], received(q_g, q), received(nought, flat[0]), self.gains)
-        xi_rate = formation_error(
-            velocity, flat[1], received(v_g, velocity), received(nought, flat[1]), self.gains
-        )
-        each = np.repeat(np.arange(m), n)
-        desired = desired_velocity(
-            v_g[each], w_g[each], flat[1], flat[2], xi, xi_rate, self.k, self.mu, self.speeds
-        )
-        u, _ = speed_control(s, desired, self.a, self.b, self.pole, self.barrier, self.speeds)
-        pitching, yawing = turn_control(velocity, desired, self.c)
-        frame = velocity_frame(velocity)
-        # (3) with v = e1: ẏ = R [ω]x e1 = ω3 (right) − ω2 (down)
-        y_rate = yawing[:, None] * frame[:, :, 1] - pitching[:, None] * frame[:, :, 2]
+        (q_g, v_g, *_), (chi, chi_rate, _) = self.targets(t)
+        found, rate = self.follow(t, state)
         return Wanted(
-            error=q - q_g[each] - flat[0],
-            xi=xi,
-            desired=desired,
-            slot_velocity=v_g[each] + flat[1],
-            u=u,
-            omega=np.stack([np.zeros_like(u), pitching, yawing], axis=1),
-            rate=State(velocity, y_rate, self.pole * (u - s)),
+            error=state.q - (q_g[:, None] + chi).reshape(-1, 3),
+            xi=found["xi"],
+            desired=Desired(*(found[name] for name in Desired._fields)),
+            slot_velocity=(v_g[:, None] + chi_rate).reshape(-1, 3),
+            u=found["u"],
+            omega=found["omega"],
+            rate=rate,
         )
 
     def rate(self, t, state):
-        return self.wanted(t, state).rate
+        return self.follow(t, state)[1]
 
     def h(self, s):
         return h(self.barrier, s, self.speeds.min, self.speeds.max)[0]

@@ -137,8 +137,15 @@ def test_barrier_without_b5_leaves_the_desired_speed(monkeypatch):
     times = np.linspace(0.0, 0.5, 51)
     good, _ = end_of(formations, start, times)
     assert 19.0 < good.s[0] < 22.0
-    # no barrier of the kernels breaks it: the reference takes any
-    monkeypatch.setattr(closed_loop, "speed_control", laws.speed_control)
+
+    def rate(self, t, state):
+        """No barrier of the kernels breaks it: the reference takes any."""
+        wanted, gains = self.wanted(t, state), (self.a, self.b, self.pole)
+        u, _ = laws.speed_control(state.s, wanted.desired, *gains, self.barrier, self.speeds)
+        return wanted.rate._replace(s=self.pole * (u - state.s))
+
+    monkeypatch.setattr(closed_loop.Formations, "rate", rate)
+    assert np.array_equal(end_of(formations, start, times)[0].s, good.s)
     monkeypatch.setattr(laws, "h", steep)
     s = np.linspace(16.1, 29.9, 139)
     height, slope = steep(None, s, 16.0, 30.0)

@@ -202,7 +202,7 @@ def test_leader_follower_needs_the_lever_arm():
 
 CONSENSUS = 0.8
 # λ₂ is 2, and would be 3 were all of them 1
-ALL = "{uav1: {uav2: 0.5, uav3: 1}, uav2: {uav1: 0.5, uav3: 1}, uav3: {uav1: 1, uav2: 1}}"
+EACH_OTHER = "{uav1: {uav2: 0.5, uav3: 1}, uav2: {uav1: 0.5, uav3: 1}, uav3: {uav1: 1, uav2: 1}}"
 
 
 def laplacian(config):
@@ -256,7 +256,7 @@ def test_estimates_agree_at_the_laplacians_rate():
 def test_estimates_alone_agree_with_lambda_2():
     """Their mean stays, and the differences from it decay with λ₂ of the Laplacian."""
     first = np.array([4.0, -2.0, 1.0])
-    found, config = estimates(first, [f"formation.neighbour_gains={ALL}"], heard=False)
+    found, config = estimates(first, [f"formation.neighbour_gains={EACH_OTHER}"], heard=False)
     _, alone = laplacian(config)
     second = np.sort(np.linalg.eigvalsh(alone))[1]
     np.testing.assert_allclose(found.mean(axis=1), first.mean(), atol=1e-8)

@@ -117,7 +117,7 @@ def directions(rng, n):
 
 def at_slots(formations, error):
     """States (q = slot + error (N, 3)) flying exactly as desired there: s̃ = 0, ỹ = 0."""
-    (q_g, _, _), (chi, _, _) = formations.targets(0.0)
+    (q_g, *_), (chi, *_) = formations.targets(0.0)
     q = (q_g[:, None] + chi).reshape(-1, 3) + error
     n = len(q)
     # s_d and y_d depend on positions alone
@@ -209,7 +209,7 @@ def random_formations(rng, m, n):
         barrier,
         SpeedSet(low, high, low, high),
     )
-    (_, v_g, _), (_, chi_rate, _) = formations.targets(0.0)
+    (_, v_g, *_), (_, chi_rate, _) = formations.targets(0.0)
     cruise = np.linalg.norm((v_g[:, None] + chi_rate).reshape(-1, 3), axis=1)
     kappa = np.minimum(cruise - low, high - cruise)
     k = rng.uniform(0.6, 0.8, agents) * kappa / mu.bound
