@@ -44,7 +44,7 @@ def fly_here(patch):
     patch.setattr(conditions, "geometric_levels", lambda *ends: list(ends))
     if not ALL:  # the leader and one follower fail, in coarse fields for short flights
         patch.setattr(measures, "MAX_VICTIMS", 2)
-        coarse = partial(make_field, path_m=1000.0, finest_m=8.0, widest_m=2400.0)
+        coarse = partial(make_field, path_m=600.0, finest_m=16.0, widest_m=2400.0)
         patch.setattr("testbed.plan.air.make_field", coarse)
     return here
 

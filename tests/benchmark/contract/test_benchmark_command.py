@@ -65,6 +65,7 @@ def test_files_of_a_benchmark(flown):
     assert {each.name for each in (out / "results").iterdir()} == {"Law.json", "hbh23.json"}
     result = json.loads((out / "results" / "Law.json").read_text())
     assert result["command"] == "testbed benchmark verify Law.json mine.py:Law --cell CELL"
+    assert result["messages"] == {"neighbours": False, "per_s": 25.0}
     assert [each["name"] for each in document["tables"]] == ["all", "gentle", "steep"]
     assert document["tables"][0]["standings"][0]["entry"] == "hbh23"
     assert re.search(r"1 +hbh23 +\d+\.\d\d m", done.stdout)

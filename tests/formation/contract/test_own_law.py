@@ -381,7 +381,7 @@ def test_law_with_unsynchronised_aircraft():
     page = load_scenario("own-law-integral", ["rates.synchronous=false"])
     world = build(page)
     assert len(world.formation.control.groups) > 1
-    assert testbed.run(set_duration(page, 5.0), write=False).outcome == "completed"
+    assert testbed.run(set_duration(page, 2.0), write=False).outcome == "completed"
 
 
 def test_law_leader_timeout_is_a_warning_and_a_flag(tmp_path):

@@ -36,12 +36,12 @@ from reference.formation_message_extrapolation import ages
 from reference.formation_middle_loop import middle_step
 from reference.frames import velocity_frame
 
-from testbed.core.compile import entry
 from testbed.core.flags import LimiterFlag, Saturation
-from testbed.core.records import COMMAND, FOLLOWER, LINK, MOTION, allocate, write_fields
+from testbed.core.records import AIRCRAFT, FOLLOWER, LINK, allocate, write_fields
+from testbed.flight import control
 from testbed.formation.barrier import SpeedBarrier
 from testbed.formation.control_function import EXAMPLE_2, EXAMPLE_3, example_1
-from testbed.formation.control_step import control_step, initial_controllers
+from testbed.formation.control_step import initial_controllers
 
 FUNCTIONS = [PAPERS_MU, example_1(2.5e5, 1.0, 0.8), EXAMPLE_2, EXAMPLE_3]
 BARRIERS = [
@@ -58,15 +58,6 @@ TOLERANCE = 1e-11
 
 # the flags of law and middle loop; the others are of the separation filter behind them
 OF_LAW = [flag for flag in LimiterFlag if flag <= LimiterFlag.LEADER_TIMEOUT]
-
-
-@entry
-def control_steps(rows, controllers, now, estimate, links, neighbours, followers, commands):
-    for k in range(len(rows)):
-        i = rows[k]
-        control_step(
-            controllers[k], now, estimate[i], links[i], neighbours[k], followers[i], commands[i]
-        )
 
 
 def compare(ours, theirs):
@@ -180,32 +171,36 @@ def test_the_middle_loop():
 
 
 def test_step_of_some_agents_equals_step_of_all():
-    """Law, middle loop and ages in one kernel, in rows of records that more agents share."""
+    """Law, middle loop and ages in the kernel of flights, in rows of records of more agents."""
     rng = np.random.default_rng(47)
     law = make_law(AGENTS, rng, **{**mixed_options(AGENTS, rng), "hold_stale_neighbours": True})
     loop = make_middle(AGENTS, altitude=np.where(rng.random(AGENTS) < 0.4, 90.0, np.nan))
     aircraft = law.gains.shape[1]
     for hold in (False, True):
         rows = rng.permutation(AGENTS)[:3]
-        mine, middle = replace(some_of(law, rows), hold_stale_neighbours=hold), choose(loop, rows)
+        law = replace(law, hold_stale_neighbours=hold)
+        mine, middle = some_of(law, rows), choose(loop, rows)
         excluded = rng.random((3, aircraft)) < 0.2
         excluded[:, 0] = rng.random(3) < 0.3
         memory, integrals = mine.start(None), middle.start()
-        neighbours = neighbour_records(mine, memory)
-        controllers = initial_controllers(law_records(mine), loop_records(middle), [False] * 3)
-        neighbours["excluded"], neighbours["used"] = excluded, True
+        neighbours = neighbour_records(law, law.start(None))
+        flags = [False] * AGENTS
+        controllers = initial_controllers(law_records(law), loop_records(loop), flags)
+        neighbours["excluded"][rows], neighbours["used"] = excluded, True
         followers, links = allocate(FOLLOWER, AGENTS), allocate(LINK, AGENTS, aircraft)
-        estimate, commands = allocate(MOTION, AGENTS), allocate(COMMAND, AGENTS)
+        own_records = allocate(AIRCRAFT, AGENTS + 1)
+        commands = own_records["control"][1:]
+        known = controllers, neighbours, own_records, own_records, followers, links
         limit = np.full(aircraft, mine.neighbour_timeout_s)
         limit[0] = mine.leader_timeout_s
         used = 0
         for k in range(STATES):
             now = 100.0 + 0.04 * k
             own, inbox, _ = states(AGENTS, rng, never=0.05, old=0.05, now=now)
-            write_fields(estimate, own)
+            write_fields(own_records["estimate"][1:], own)
             write_fields(links, inbox)
             links["measured_s"] = inbox.stamp_s
-            control_steps(rows, controllers, now, estimate, links, neighbours, followers, commands)
+            control._step(rows, *known, now)
 
             own, inbox = choose(own, rows), choose(inbox, rows)
             # an excluded aircraft is treated as timed out
@@ -343,7 +338,7 @@ def test_the_equations_of_the_law():
 
 def test_messages_and_the_acceleration_of_the_leader():
     rng = np.random.default_rng(53)
-    n = 300 if ALL else 100  # of as many messages each
+    n = 300 if ALL else 50  # of as many messages each
     own, inbox, memory = states(n, rng)
     for from_timestamp in (False, True):
         args = inbox, 100.0, from_timestamp, rng.random(n) < 0.5

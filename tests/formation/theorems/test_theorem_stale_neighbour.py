@@ -5,6 +5,7 @@ leader's helix, 4 m to the right of its own, so that it pulls uav2 out of its sl
 use its messages differ from flights that do not.
 """
 
+from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
@@ -32,10 +33,17 @@ RATE = frame_rate(LEADER.climb, LEADER.course_rate, np.zeros(1))
 ASIDE = np.array([0.0, 4.0, 0.0])
 
 
+@cache
+def leader(t):
+    """Its motion and its frame; flights share their times."""
+    motion = LEADER.motion(t)
+    return motion, velocity_frame(motion[1])
+
+
 def helix(t, offsets):
     """Positions and velocities (K, 3) of what keeps offsets in the leader's frame; and q̈_g."""
-    position, velocity, acceleration = LEADER.motion(t)
-    chi, chi_rate, _ = slots(velocity_frame(velocity), RATE, np.zeros((1, 3)), offsets)
+    (position, velocity, acceleration), frame = leader(t)
+    chi, chi_rate, _ = slots(frame, RATE, np.zeros((1, 3)), offsets)
     return position + chi[0], velocity + chi_rate[0], acceleration[0]
 
 
@@ -68,8 +76,7 @@ def simulate(law, mute=MUTE, then_gain=None, until=END):
         now = tick / HZ
         slots_now, moved, acceleration_now = helix(now, offsets)
         seen = report(vehicles, speed, turn, pole, np.zeros((2, 3)))
-        frame = velocity_frame(LEADER.motion(now)[1])[0]
-        errors.append((seen.position_ned - slots_now[2:]) @ frame)
+        errors.append((seen.position_ned - slots_now[2:]) @ leader(now)[1][0])
         position = np.vstack([slots_now[:2], seen.position_ned])
         velocity = np.vstack([moved[:2], seen.velocity_ned])
         own = np.stack([position[1:], velocity[1:]])
