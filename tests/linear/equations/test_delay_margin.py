@@ -14,20 +14,19 @@ from testbed.linear import delay_margin
 from testbed.linear.delay_margin import delay_margins
 from testbed.linear.held_flight import HeldFlight
 from testbed.linear.linear_formation import join
-from testbed.linear.predicted_margins import linearise
+from testbed.linear.predicted_margins import _LaterMessages, linearise
 from testbed.linear.steady_flight import steady_scenario
 from testbed.plan.world import build
 from testbed.scenario import load_scenario
 
 BEGIN_S = 24.0  # later, an unstable formation has left its steady flight
-RATES = "rates.control_hz=10", "rates.broadcast_hz=10"  # of cheap maps
 COMPENSATED = "controller.extrapolate_from=timestamp"
 
 
-def begin(delay_s, name="simulation-1", *more):
+def begin(delay_s):
     """Return a straight flight, some time after its start."""
-    overrides = [COMPENSATED, f"network.delay_s={delay_s}", *more]
-    flight = HeldFlight(build(steady_scenario(load_scenario(name, overrides), 0.0, "compiled")))
+    scenario = load_scenario("simulation-1", [COMPENSATED, f"network.delay_s={delay_s}"])
+    flight = HeldFlight(build(steady_scenario(scenario, 0.0, "compiled")))
     flight.fly_to(BEGIN_S)
     return flight
 
@@ -100,6 +99,23 @@ def test_delay_margin_has_the_poles_of_the_map(maps, margin):
     assert not join(delayed(maps, margin.delay_s + maps.dt)).is_stable()
 
 
+def test_delays_that_need_flights_are_searched(maps, margin):
+    """As for a law of a user, of which each delay is flown: the same margin."""
+    assert delay_margins(maps, lambda periods: delayed(maps, periods * maps.dt)) == [margin]
+
+
+@pytest.mark.usefixtures("frequencies")
+def test_maps_with_later_messages_are_of_flights(maps):
+    """Those of the built-in law are known without a flight."""
+    later = _LaterMessages(load_scenario("simulation-1", [COMPENSATED]), 0.0, maps)(10)
+    rows = [0, 1, 2]
+    flown = delay_margin._MessageLoop(later, rows)._determinant(0)
+    found = delay_margin._MessageLoop(maps, rows)._determinant(10)
+    assert np.abs(found / flown - 1.0).max() < 0.01
+    wrong = replace(maps, from_timestamp=np.zeros(3, dtype=bool))
+    assert np.abs(delay_margin._MessageLoop(wrong, rows)._determinant(10) / flown - 1).max() > 0.1
+
+
 def test_counts_are_sure_with_few_frequencies(maps, monkeypatch):
     """Where the determinant turns far between two frequencies, others are added between them."""
 
@@ -114,11 +130,6 @@ def test_counts_are_sure_with_few_frequencies(maps, monkeypatch):
     assert sure[0] == 0 and sure[-1] >= 2
     assert counts(12, 0.5) == sure
     assert counts(12, math.inf) != sure
-
-
-def test_no_message_delay_without_a_cycle():
-    """A chain: nothing that a follower sends comes back to it."""
-    assert delay_margins(linearise(begin(0.0, "simulation-2", *RATES))) == []
 
 
 def test_state_space_steps_as_the_flight(maps):

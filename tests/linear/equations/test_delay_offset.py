@@ -48,7 +48,7 @@ OFFSETS = (
 )
 
 
-@pytest.mark.parametrize(("name", "bank_deg", "delay_s", "origin"), some(OFFSETS, 2))
+@pytest.mark.parametrize(("name", "bank_deg", "delay_s", "origin"), some(OFFSETS, 1))
 def test_offset_is_that_of_a_flight(name, bank_deg, delay_s, origin):
     """Within 2 %, also after whole minutes in which the integral of the course settles."""
     scenario = loaded(name, delay_s=delay_s, origin=origin)

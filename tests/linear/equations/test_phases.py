@@ -111,8 +111,9 @@ def test_phases_need_the_controls_before(both, monkeypatch):
         "_model_numbers",
         lambda names, row, *, with_controls: numbers(names, row, with_controls=False),
     )
-    flight, _ = fly_linearisable(load_scenario("experiment-2"), 25.0)
-    wrong = join(linearise(flight)).loop(f"uav{odd + 1}.throttle").margins().gain
+    both.flight.inputs.end()
+    both.start.restore()
+    wrong = join(linearise(both.flight)).loop(f"uav{odd + 1}.throttle").margins().gain
     assert wrong > 1.1 * both.formation.loop(f"uav{odd + 1}.throttle").margins().gain
 
 
@@ -130,15 +131,17 @@ def test_messages_that_swing_are_changed_once(monkeypatch):
     """Also those that stay in the links while others arrive, by the time of their content."""
     if not ALL:  # the integral of the course settles for longer, but hardly moves here
         for module in (flown_response, straight_formation):
-            monkeypatch.setattr(module, "SETTLED_S", 75.0)
+            monkeypatch.setattr(module, "SETTLED_S", 60.0)
+        monkeypatch.setattr(flown_response, "RECORD_S", 20.0)
     scenario, at = load_scenario("experiment-2"), np.array([0.1])
     formation = linearise_straight(scenario)
     found = formation.respond("message-right", at, 1).position[..., 1]
     flown = fly_response(scenario, "message-right", at[0], 1).response.position[..., 1]
     assert np.abs(flown - found).max() < 0.01 * np.abs(found).min()
-    height = formation.respond("leader-height", at).error[..., 2]
-    flown = fly_response(scenario, "leader-height", at[0]).response.error[..., 2]
-    assert np.abs(flown - height).max() < 0.01 * np.abs(height).min()
+    if ALL:  # else of the speed and of a weave: test_string_stability
+        height = formation.respond("leader-height", at).error[..., 2]
+        flown = fly_response(scenario, "leader-height", at[0]).response.error[..., 2]
+        assert np.abs(flown - height).max() < 0.01 * np.abs(height).min()
     monkeypatch.setattr(InputChanges, "_as_arrived", lambda self, links: links)
     wrong = fly_response(scenario, "message-right", at[0], 1).response.position[..., 1]
     assert (np.abs(wrong) > 2.0 * np.abs(found)).all()
