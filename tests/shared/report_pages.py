@@ -92,31 +92,23 @@ addEventListener("load", () => {
     sizes[figure.id] = [box.width, box.height, drawn.width, drawn.height, text];
   }
   const wide = document.documentElement.scrollWidth - innerWidth;
-  document.body.dataset.found = JSON.stringify({sizes, wide});
-});
-</script>"""
-
-
-# of a page as wide as a telephone
-NARROW = """<script>
-document.body.style.width = "400px";
-addEventListener("load", () => {
-  const found = {scrolled: 0, shaded: 0, over: document.body.scrollWidth - 400, heights: []};
+  document.body.style.width = "400px";  // as wide as a telephone
+  const narrow = {scrolled: 0, shaded: 0, over: document.body.scrollWidth - 400, heights: []};
   for (const text of document.querySelectorAll("svg text"))
-    found.heights.push(text.getBoundingClientRect().height);
+    narrow.heights.push(text.getBoundingClientRect().height);
   for (const box of document.querySelectorAll(".wide"))
     if (box.scrollWidth > box.clientWidth) {
-      found.scrolled += 1;
-      found.shaded += getComputedStyle(box).backgroundAttachment.includes("scroll");
+      narrow.scrolled += 1;
+      narrow.shaded += getComputedStyle(box).backgroundAttachment.includes("scroll");
     }
-  document.body.dataset.found = JSON.stringify(found);
+  document.body.dataset.found = JSON.stringify({sizes, wide, narrow});
 });
 </script>"""
 
 
-def measure(text, folder, script):
-    """Run a script in a page that a browser shows; return what it found, without messages."""
-    (folder / "page.html").write_text(text.replace("</body>", script + "</body>"), "utf-8")
+def measure(text, folder):
+    """Return what a script finds in a page that a browser shows, without messages."""
+    (folder / "page.html").write_text(text.replace("</body>", MEASURE + "</body>"), "utf-8")
     done = subprocess.run(
         [
             CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--window-size=1200,900",
@@ -130,12 +122,15 @@ def measure(text, folder, script):
 
 
 def browse(text, folder):
-    """Measure the figures of a page in a browser, by name; assert no console messages."""
-    found = measure(text, folder, MEASURE)
+    """Measure the figures of a page in a browser, by name; return what a narrow page has, too.
+
+    Asserts that there are no console messages.
+    """
+    found = measure(text, folder)
     names = {name.removeprefix("figure-"): size for name, size in found["sizes"].items()}
     for width, height, drawn_width, drawn_height, words in names.values():
         assert width > 900 and height > 150 and words > 10
         # in points; the width of a figure is 792
         assert drawn_width > 500 and drawn_height > 100
     assert found["wide"] <= 0
-    return names
+    return names, found["narrow"]

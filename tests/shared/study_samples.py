@@ -50,13 +50,15 @@ def study_of(flights, **more):
     return StudyData(**(fields | {"files": {"study.yaml": "study: <x>\n"}} | more))
 
 
-def factorial(seeds=6, cases=("calm", "gusty", "late"), lost=(3, 40)):
+def factorial(
+    seeds=6, cases=("calm", "gusty", "late"), lost=(3, 40), *, losses=(0.0, 0.1, 0.3), speeds=3
+):
     """value = 1 + 4 loss + speed / 8 + 0.5 per case + noise that all points of a seed share."""
     random = np.random.default_rng(3)
     shared = random.normal(0.0, 0.2, seeds)
     table = []
     for (k, case), loss, speed, law, seed in product(
-        enumerate(cases), (0.0, 0.1, 0.3), (0.0, 4.0, 8.0), ("paper", "chase"), range(seeds)
+        enumerate(cases), losses, (0.0, 4.0, 8.0)[:speeds], ("paper", "chase"), range(seeds)
     ):
         point = {"network.loss": loss, "air.wind.speed_mps": speed, "controller.law": law}
         value = 1.0 + 4.0 * loss + speed / 8.0 + 0.5 * k + 0.3 * (law == "chase") + shared[seed]

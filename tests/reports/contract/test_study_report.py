@@ -11,7 +11,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from cases import in_full
+from cases import ALL, in_full
 from commands import call_command, refuse_all
 from matplotlib.figure import Figure
 from report_pages import CHROMIUM, NEEDS_CHROMIUM, browse, stands_alone
@@ -32,9 +32,15 @@ SLUG = "windows-laps-mean_rms_m"
 
 
 @pytest.fixture(scope="module")
+def study():
+    """A factorial study."""
+    return factorial()
+
+
+@pytest.fixture(scope="module")
 def made():
-    """A factorial study, and its page."""
-    study = factorial()
+    """A smaller one, and its page."""
+    study = factorial() if ALL else factorial(cases=("calm", "gusty"), losses=(0.0, 0.1), speeds=2)
     return study, render_page(study_page(study))
 
 
@@ -67,8 +73,7 @@ def test_report_has_the_statistics_of_the_rows(made):
     assert least == format_number(float(flights.metrics[METRIC][mine].min()))
 
 
-def test_cases_are_compared_in_pairs_of_flights(made):
-    study, _ = made
+def test_cases_are_compared_in_pairs_of_flights(study):
     table = tables.cases(study)
     for k, row in enumerate(table.rows[1:], 1):
         assert row[3].value == pytest.approx(0.5 * k, abs=0.02)  # as they were made
@@ -131,8 +136,7 @@ def test_one_seed_has_verdicts_of_one_flight():
     assert tables.side_effects(study).rows[0][4].count == 1
 
 
-def test_effects_are_those_of_the_samples(made):
-    study, _ = made
+def test_effects_are_those_of_the_samples(study):
     found = {row[1:3]: row[3:] for row in tables.effects(study).rows}
     loss, law = found["calm, paper", "network.loss"], found["calm", "controller.law"]
     assert loss[1] - loss[0] == pytest.approx(1.2, abs=0.1)
@@ -140,8 +144,7 @@ def test_effects_are_those_of_the_samples(made):
     assert loss[2] > 5.0 * law[2] and loss[3] > 0.5 and math.isnan(law[3])
 
 
-def test_losses_are_counted_and_first_of_the_worst(made):
-    study, _ = made
+def test_losses_are_counted_and_first_of_the_worst(study):
     found = {(row[0], row[1]): row[2:] for row in tables.losses(study).rows}
     assert found["all", ""][:3] == (324, 322, 2)
     assert found["case", "calm"][:3] == (108, 106, 2)
@@ -154,8 +157,7 @@ def test_losses_are_counted_and_first_of_the_worst(made):
     )
 
 
-def test_parameter_plot_has_curves_bands_crosses(made):
-    study, _ = made
+def test_parameter_plot_has_curves_bands_crosses(study):
     drawing = parameters(study, METRIC)
     panel = drawing.rows[0][0]
     assert panel.x_label == "network.loss" and panel.y_label == "mean RMS error, laps, m"
@@ -171,9 +173,8 @@ def test_parameter_plot_has_curves_bands_crosses(made):
     assert crosses.x.tolist() == [0.0, 0.1]
 
 
-def test_parameter_plot_averages_nothing_in_silence(made):
+def test_parameter_plot_averages_nothing_in_silence(study):
     """A panel for each level of the other parameters; of too many, a title names the mean."""
-    study, _ = made
     panels = [panel for row in parameters(study, METRIC).rows for panel in row]
     titles = [panel.title for panel in panels]
     assert titles[:3] == [f"air.wind.speed_mps {speed}" for speed in (0, 4, 8)]
@@ -212,9 +213,8 @@ def test_maps_of_a_row_have_one_colour_bar(monkeypatch):
     assert len(bars) <= 2 * len(heat.grid.rows)
 
 
-def test_figures_of_a_paper_have_its_width(made, tmp_path):
+def test_figures_of_a_paper_have_its_width(study, tmp_path):
     """In inches, with panels in one column, and no title."""
-    study, _ = made
     (figure,) = [each for each in figures.study_figures(study) if each.name.startswith("cases")]
     (path,) = save_figures([figure], tmp_path, "svg", FigureStyle(width_in=3.5, titled=False))
     text = path.read_text()
@@ -228,7 +228,7 @@ def test_figures_of_a_paper_have_its_width(made, tmp_path):
     assert f'width="{11 * 72}pt"' in wide.read_text() and "by case -->" in wide.read_text()
 
 
-def test_latex_table_has_cases_points_and_metrics(made):
+def test_latex_table_has_cases_points_and_metrics(study):
     table = latex_table(two_laws("case"))
     lines = table.splitlines()
     assert lines[0].startswith("% made-up: median over seeds [95 % interval], 24 of 24 flights")
@@ -236,8 +236,8 @@ def test_latex_table_has_cases_points_and_metrics(made):
     head = r"Case & air.wind.speed\_mps & network.loss & Mean RMS error, laps (m) \\"
     assert lines[3] == head and lines[5].startswith("chase & 0 & 0 & 2.00 ")
     assert len(lines) == 3 + 2 + 12 + 2
-    many, _ = made  # of more than 60 points those of cases and laws; 54 cases and points are few
-    assert latex_table(many).count("&") == 4 * (54 + 1)
+    # of more than 60 points those of cases and laws; 54 cases and points are few
+    assert latex_table(study).count("&") == 4 * (54 + 1)
     assert latex_table(drawn()).count("\\\\") == 2
     odd = replace(two_laws("case"), metrics=("a_b%&#",))
     metrics = odd.flights.metrics | {"a_b%&#": odd.flights.metrics[METRIC]}
@@ -245,9 +245,9 @@ def test_latex_table_has_cases_points_and_metrics(made):
     assert r"A b\%\&\#" in latex_table(odd)
 
 
-def test_labels_stand_for_cases_and_keys(made, undrawn):
+def test_labels_stand_for_cases_and_keys(study, undrawn):
     """In figures, tables and LaTeX; the numbers are those without labels."""
-    plain, _ = made
+    plain = study
     labels = {"calm": "still air", "gusty": "$w_{20}$ = 8 m/s"}
     flights = replace(plain.flights, case_label=labels, key_label={"network.loss": "loss, %"})
     study = replace(plain, flights=flights)
@@ -295,8 +295,7 @@ def test_missing_metric_is_said_and_others_are_drawn(tmp_path):
     assert study.metrics == (METRIC, "min_separation_m") and study.missing == ("max_error_m",)
 
 
-def test_heat_maps_have_every_pair(made):
-    study, _ = made
+def test_heat_maps_have_every_pair(study):
     maps = [panel for row in figures.heat_maps(study, METRIC).rows for panel in row]
     first, other = maps[0], maps[6]
     assert (first.x_label, first.y_label) == ("network.loss", "air.wind.speed_mps")
@@ -479,4 +478,4 @@ def test_bad_input_error_has_the_remedy(tmp_path):
 @in_full  # that of test_report.py shows figures of the same kind
 @pytest.mark.skipif(CHROMIUM is None, reason=NEEDS_CHROMIUM)
 def test_browser_shows_every_figure_without_errors(made, tmp_path):
-    assert len(browse(made[1], tmp_path)) == 4
+    assert len(browse(made[1], tmp_path)[0]) == 4
