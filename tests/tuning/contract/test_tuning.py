@@ -67,6 +67,8 @@ def test_evaluate_is_what_the_command_flies(file, workers, tmp_path):
     tuning = testbed.Tuning(file)
     found = tuning.evaluate(rows[:, 3:5])
     assert found.costs.tolist() == rows[:, 2].tolist()
+    assert len(rows) == len(set(found.costs)) == 5 and (found.costs > 0.0).all()
+    assert (found.costs < 100.0).all()  # as of a flight without an end
     assert found.constraints.shape == (len(rows), 0)
     assert json.loads((tmp_path / "out/result.json").read_text())["flights"] == tuning.flights
     one = tuning.evaluate(rows[1, 3:5])
