@@ -9,7 +9,6 @@ import golden_scenarios as samples
 import pytest
 from commands import call_command
 from rich.console import Console
-from small_study import in_this_process
 
 from testbed.core.errors import InputError
 from testbed.golden.golden_ci import to_junit, to_markdown
@@ -127,9 +126,13 @@ def test_improvement_is_said_in_every_output(exact):
         assert not unchanged.improved and "Better than" not in to_markdown([unchanged])
 
 
-@in_this_process()
-def test_check_takes_a_tolerance(tmp_path):
+def test_check_takes_a_tolerance(exact, tmp_path, monkeypatch):
     """From the command line to the annotation."""
+
+    def fly_all(wanted, **_):
+        return [GoldenFlight(seed, exact[0].metrics) for _, seed in wanted]
+
+    monkeypatch.setattr("testbed.golden.golden.fly_all", fly_all)
     samples.write(tmp_path, "short")
     update = ("check", "short.yaml", "--update", "--reason", "first")
     call_command(*update, cwd=tmp_path, code=0, columns=80)
