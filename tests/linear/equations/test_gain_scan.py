@@ -6,7 +6,7 @@ from slow_control import RATES
 import testbed
 from testbed.core.errors import InputError
 
-GAINS = ("controller.gains.course.p=5", "formation.k=2")
+GAINS = ("controller.gains.course.p=5", "formation.k=2", "formation.neighbour_gains.uav3.uav2=3")
 
 
 @pytest.fixture(scope="module")

@@ -138,10 +138,9 @@ def test_messages_that_swing_are_changed_once(monkeypatch):
     found = formation.respond("message-right", at, 1).position[..., 1]
     flown = fly_response(scenario, "message-right", at[0], 1).response.position[..., 1]
     assert np.abs(flown - found).max() < 0.01 * np.abs(found).min()
-    if ALL:  # else of the speed and of a weave: test_string_stability
-        height = formation.respond("leader-height", at).error[..., 2]
-        flown = fly_response(scenario, "leader-height", at[0]).response.error[..., 2]
-        assert np.abs(flown - height).max() < 0.01 * np.abs(height).min()
+    height = formation.respond("leader-height", at).error[..., 2]
+    flown = fly_response(scenario, "leader-height", at[0]).response.error[..., 2]
+    assert np.abs(flown - height).max() < 0.01 * np.abs(height).min()
     monkeypatch.setattr(InputChanges, "_as_arrived", lambda self, links: links)
     wrong = fly_response(scenario, "message-right", at[0], 1).response.position[..., 1]
     assert (np.abs(wrong) > 2.0 * np.abs(found)).all()

@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from itertools import chain
+from unittest.mock import MagicMock
 
 import pytest
 from cases import ALL
@@ -201,7 +202,7 @@ def damped_flight(task):
 
 def test_tune_constraint_moves_the_optimum(searched, file, tmp_path, fly_with):
     """To its bound; without it the optimum is at 2, which misses it."""
-    text = TUNE.replace("max_flights: 52", "max_flights: 66").replace("[1, 2]", "1")
+    text = TUNE.replace("max_flights: 52", "max_flights: 46").replace("[1, 2]", "1")
     text = text.replace("cases: {calm: {}, windy: {air.wind.speed_mps: 3}}\n", "")
     file.write_text(f"{text}{CONSTRAINTS}\n")
     fly_with(damped_flight)
@@ -262,6 +263,7 @@ def test_tune_nothing_better_writes_no_gains(file, tmp_path, fly_with):
             result.metrics["windows"]["rectangles"]["mean_rms_m"] += 50.0 * changed
         return result
 
+    file.write_text(TUNE.replace("max_flights: 52", "max_flights: 20"))
     fly_with(worse)
     done = call_command("tune", file, "--out", "out", cwd=tmp_path, code=0, columns=120)
     assert "no better gains were found" in done.stdout
@@ -304,13 +306,17 @@ def test_tune_bad_input_exits_2_with_its_place(file, tmp_path, fly_with):
     check_snapshot("wrong_tunes", "\n".join(rows))
 
 
-def test_tune_library_files_are_valid():
+def test_tune_library_files_are_valid(monkeypatch):
     names = list_tunings()
     assert names
     for name in names:
         loaded = load_tune(name)
         assert loaded.study.name == name == find_tuning(name).stem
-    for name in names if ALL else ["x8-middle-loop"]:  # others compile their law
+    Tuning("x8-middle-loop")
+    if not ALL:  # others compile their law; their keys are read all the same
+        monkeypatch.setattr("testbed.tuning.tuning.FlownScenarios", MagicMock())
+        monkeypatch.setattr(Tuning, "_check_bounds", MagicMock())
+    for name in names:
         Tuning(name)
 
 
