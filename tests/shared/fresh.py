@@ -83,7 +83,7 @@ def serve():
 def _become(code, folder, paths, variables, mount):
     os.environ.clear()
     os.environ.update(variables)
-    if mount and (_leave_mounts() or subprocess.run(["sh", "-ec", mount]).returncode):
+    if mount and (leave_mounts() or subprocess.run(["sh", "-ec", mount]).returncode):
         sys.exit(NOT_MOUNTED)
     os.chdir(folder)
     sys.path[:0] = paths
@@ -92,7 +92,7 @@ def _become(code, folder, paths, variables, mount):
     exec(compile(code, "<string>", "exec"), {"__name__": "__main__"})
 
 
-def _leave_mounts():
+def leave_mounts():
     """Let other processes not see what is mounted from here on; return whether that failed."""
     user, group = os.geteuid(), os.getegid()
     if ctypes.CDLL(None).unshare(NEW_MOUNTS | (NEW_USER if user else 0)):

@@ -2,9 +2,7 @@
 
 import json
 import os
-import shutil
 import signal
-import subprocess
 import sys
 import tempfile
 from dataclasses import dataclass
@@ -12,18 +10,22 @@ from dataclasses import dataclass
 import pytest
 from commands import environment
 from forked import Forked
-from places import SHARED
+from fresh import NOT_MOUNTED, leave_mounts
 from waiting import TIMEOUT_S
-
-LOAD_AND_WORK = "import forked, together; forked.load(); together.work()"
 
 
 def work():
-    """Run the groups of commands of this process's argument, and print their exit codes."""
+    """Run the groups of commands of this process's first argument, and print their exit codes.
+
+    With a second argument, other processes do not see what the commands mount.
+    """
     from testbed.cli.main import main
 
+    plan, *apart = sys.argv[1:]
+    if apart and leave_mounts():
+        sys.exit(NOT_MOUNTED)
     codes = []
-    for number, group in enumerate(json.loads(sys.argv[1])):
+    for number, group in enumerate(json.loads(plan)):
         ready, begin = os.pipe()
         children = []
         for k, (program, *arguments) in enumerate(group):
@@ -69,44 +71,25 @@ def together(folder, *groups, apart=False):
 
     With `apart`, file systems that they mount are invisible to other processes and end with them.
     """
-    unshare = ["unshare", "--mount", *(["--user", "--map-root-user"] if os.geteuid() else [])]
-    if apart:
-        tried = [*unshare, "mount", "-t", "tmpfs", "tmpfs", "/mnt"]
-        if shutil.which("unshare") is None or subprocess.run(tried, capture_output=True).returncode:
-            pytest.skip("nothing can be mounted here, neither as root nor in a user namespace")
     plan = json.dumps([[list(map(str, command)) for command in group] for group in groups])
-    if not apart:
-        with tempfile.TemporaryFile("w+") as output, tempfile.TemporaryFile("w+") as errors:
-            process = Forked(
-                *("together:work", plan),
-                cwd=folder,
-                env=environment(500),
-                stdout=output,
-                stderr=errors,
-            )
-            try:
-                code = process.wait(TIMEOUT_S)
-            finally:
-                if process.poll() is None:
-                    os.killpg(process.pid, signal.SIGKILL)
-            for each in (output, errors):
-                each.seek(0)
-            return _ended(folder, code, output.read(), errors.read())
-    with subprocess.Popen(
-        [*unshare, sys.executable, "-c", LOAD_AND_WORK, plan],
-        cwd=folder,
-        env=environment(500, SHARED),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    ) as process:
+    with tempfile.TemporaryFile("w+") as output, tempfile.TemporaryFile("w+") as errors:
+        process = Forked(
+            *("together:work", plan, *(["apart"] if apart else [])),
+            cwd=folder,
+            env=environment(500),
+            stdout=output,
+            stderr=errors,
+        )
         try:
-            stdout, stderr = process.communicate(timeout=TIMEOUT_S)
+            code = process.wait(TIMEOUT_S)
         finally:
             if process.poll() is None:
                 os.killpg(process.pid, signal.SIGKILL)
-    return _ended(folder, process.returncode, stdout, stderr)
+        for each in (output, errors):
+            each.seek(0)
+        if code == NOT_MOUNTED:
+            pytest.skip("nothing can be mounted here, neither as root nor in a user namespace")
+        return _ended(folder, code, output.read(), errors.read())
 
 
 def _ended(folder, code, stdout, stderr):

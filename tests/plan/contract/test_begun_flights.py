@@ -21,6 +21,7 @@ from testbed.core.samples import SampleBuffer
 from testbed.core.saved_state import SavedState, copy_state, take_changes
 from testbed.formation.compiled_law import CompiledLaw
 from testbed.metrics.accumulator import Accumulator
+from testbed.plan.world import build
 from testbed.runs.recover import recover
 from testbed.scenario import dump, load_scenario, set_duration
 
@@ -242,24 +243,40 @@ def test_sets_are_saved_restored_and_copied():
 
 
 def test_compiled_laws_ignore_what_is_between_fields(folder, monkeypatch):
-    """All flights get records that are equal field by field, not byte by byte."""
+    """Of records of the law; one is refused that writes its configuration, byte by byte."""
     made = CompiledLaw.__init__
 
     def filled(self, law, config, hbh23, *rest):
-        count.append(0)
-        data = np.full(hbh23.nbytes, 17 * len(count), dtype=np.uint8)
+        laws.append(self)
+        data = np.full(hbh23.nbytes, 17 * len(laws), dtype=np.uint8)
         other = data.view(hbh23.dtype).view(type(hbh23))
         for name in hbh23.dtype.names:
             other[name] = hbh23[name]
         made(self, law, config, other, *rest)
 
-    count: list[int] = []
+    def compiles(call):
+        raise KeyboardInterrupt
+
+    laws = []
     monkeypatch.setattr(CompiledLaw, "__init__", filled)
-    path = folder / "first.yaml"
+    monkeypatch.setattr("testbed.formation.compiled_law.Call.prepare", compiles)
     (folder / "law_filtered.py").write_text(FILTERED, "utf-8")
-    header = {"duration_s": 3.0, "windows": {"rectangles": None, "circles": None}}
-    data = {"extends": "simulation-3", "scenario": {**header, "published": None}}
-    path.write_text(json.dumps({**data, "controller": {"law": "law_filtered:filtered"}}))
-    simulation = testbed.Simulation(load_scenario(begin_as("first.yaml", 1.0, folder)))
-    simulation.step(until=3.0)
-    assert simulation.outcome == "completed" and len(count) > 2
+    path = folder / "first.yaml"
+    path.write_text(
+        json.dumps({"extends": "simulation-3", "controller": {"law": "law_filtered:filtered"}})
+    )
+    for _ in range(2):
+        with pytest.raises(KeyboardInterrupt):
+            build(load_scenario(path))
+    one, other = (each._given.tobytes() for each in laws)
+    assert one == other
+
+
+def test_changes_of_records_are_those_of_fields():
+    old, new, own = (
+        np.zeros(1, np.dtype([("a", "u1"), ("b", float)], align=True)) for _ in range(3)
+    )
+    new.view(np.uint8)[1] = 17  # between the fields
+    own["b"] = 2.0
+    found, left = taken(Held(x=old), Held(x=new), Held(x=own))
+    assert left == [] and found["x"]["b"] == 2.0

@@ -23,6 +23,7 @@ from testbed.scenario import (
     ScenarioError,
     dump,
     find_aircraft,
+    library,
     load_middle_loop,
     load_scenario,
     loads,
@@ -30,6 +31,7 @@ from testbed.scenario import (
 )
 from testbed.studies.sweep import sweep
 
+MINUTE = ("scenario.duration_s=60", "scenario.windows=null", "scenario.published=null")
 MINIMAL = (TESTS / "data" / "scenarios" / "minimal.yaml").read_text()
 
 
@@ -153,15 +155,23 @@ def test_wind_bounds_the_airspeed_by_default():
     assert warnings("simulation-3", wind) == []
 
 
-def test_recorded_leader_in_wind_has_a_warning():
-    name = "simulation-3-recorded-leader"
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """Return warnings of a flight behind the first minute of a recorded leader, with changes."""
+    file = tmp_path_factory.mktemp("recorded") / "leader.csv"
+    rows = (library() / "scenarios/data/arduplane-auto-leader-rascal.csv").read_text().split("\n")
+    file.write_text("\n".join(rows[:775]))
+    return lambda *changes: warnings(
+        "simulation-3-recorded-leader", f"leader.path.file={file}", *MINUTE, *changes
+    )
+
+
+def test_recorded_leader_in_wind_has_a_warning(recorded):
     text = "a recorded flight repeats its ground track"
-    short = ("scenario.duration_s=60", "scenario.windows=null", "scenario.published=null")
     for from_deg in (0, 90):
         wind = f"air.wind={{speed_mps: 5, from_deg: {from_deg}}}"
-        assert any(text in found for _, found in warnings(name, wind, *short))
-    calm = "air.wind.speed_mps=0"
-    assert not any(text in found for _, found in warnings(name, calm, *short))
+        assert any(text in found for _, found in recorded(wind))
+    assert not any(text in found for _, found in recorded("air.wind.speed_mps=0"))
 
 
 def test_wind_beyond_the_bounds_names_the_key():
@@ -179,9 +189,8 @@ def test_wind_beyond_the_bounds_names_the_key():
 
 def test_strongest_wind_of_the_run_counts():
     paper = "controller.bounded_speed=ground_speed"
-    short = ("scenario.duration_s=60", "scenario.windows=null", "scenario.published=null")
-    recorded = warnings("simulation-3", "air.wind.file=gusty-wind.csv", paper, *short)
-    assert "in this wind" in recorded[0][1]
+    wind = warnings("simulation-3", "air.wind.file=gusty-wind.csv", paper, *MINUTE)
+    assert "in this wind" in wind[0][1]
     # a gust that lasts is a wind, and without a mean wind the paper's bounds apply
     front = [text for _, text in warnings("gust-front")]
     assert front and all(" m/s over the ground in this wind" in text for text in front)
@@ -372,7 +381,7 @@ CIRCLE = (
 
 def demands(*changes):
     """Warnings of slots that need more bank or climb than the followers' limits allow."""
-    found = warnings("simulation-3", *changes)
+    found = warnings("simulation-3", *MINUTE, *changes)
     return [(source, text) for source, text in found if "the limit by" in text]
 
 
@@ -382,7 +391,7 @@ def test_formula_beyond_the_limits_has_a_warning():
     path = CIRCLE.format(speed=22, radius=45, climb=0)
     ((source, text),) = demands(path)
     assert source == "run" and text == (
-        f"uav2, uav3: the slot of uav2 needs up to {outer:.1f}° of bank, 1080.0 s of it beyond "
+        f"uav2, uav3: the slot of uav2 needs up to {outer:.1f}° of bank, 60.0 s of it beyond "
         "50°, the limit by controller.gains.limits.roll_deg and ROLL_LIMIT_DEG: it cannot be held "
         "there (write a leader that turns wider, or higher limits)"
     )
@@ -393,19 +402,18 @@ def test_formula_beyond_the_limits_has_a_warning():
     ((source, text),) = demands(steep)
     inner = math.degrees(math.atan(8.0 / math.sqrt(22.0**2 - 8.0**2) / (math.hypot(115, 5) / 120)))
     assert source == "run" and f"uav1, uav2, uav3: the slot of uav1 needs up to {inner:.1f}" in text
-    assert "° of climb, 1080.0 s of it beyond 20°, the limit by" in text
+    assert "° of climb, 60.0 s of it beyond 20°, the limit by" in text
     assert "PTCH_LIM_MAX_DEG: it cannot be held there (write a leader with less climb" in text
 
 
-def test_recording_beyond_the_limits_has_a_warning(tmp_path):
-    name = "simulation-3-recorded-leader"
-    (text,) = [text for _, text in warnings(name) if "the limit by" in text]
-    assert "needs up to 55.9° of bank, 22.3 s of it beyond 50°" in text
+def test_recording_beyond_the_limits_has_a_warning(recorded, tmp_path):
+    (text,) = [text for _, text in recorded() if "the limit by" in text]
+    assert "needs up to 55.9° of bank, 2.8 s of it beyond 50°" in text
     higher = tmp_path / "higher.param"
     tune = (find_aircraft("rascal110") / "autopilot.param").read_text()
     higher.write_text(tune.replace("ROLL_LIMIT_DEG 50", "ROLL_LIMIT_DEG 57"))
     raised = (f"fleet.*.tune={higher}", "controller.gains.limits={roll_deg: 57}")
-    assert not [text for _, text in warnings(name, *raised) if "the limit by" in text]
+    assert not [text for _, text in recorded(*raised) if "the limit by" in text]
 
 
 def test_mission_beyond_the_limits_has_a_warning():

@@ -3,14 +3,19 @@
 import os
 import signal
 import socket
+import subprocess
 import sys
+import tempfile
 import textwrap
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from cases import ALL
+from cases import ALL, in_full
+from commands import environment
+from forked import Forked
 from run_flight import Collector, short
 from waiting import TIMEOUT_S
 
@@ -29,7 +34,7 @@ LOSSY = (
     *("network.delay_s=0.05", "network.jitter={spread_s: 0.03}"),
     *("network.loss=0.2", "network.duplicate=0.1"),
 )
-# a process takes as long to start as to fly: two followers, of which the second hears the first
+# two followers, of which the second hears the first
 TWO = (
     "scenario.published=null",
     "fleet=[{name: uav1, aircraft: rascal110, start_m: [-25, 15, 0]}, "
@@ -72,6 +77,32 @@ def numbers(frames):
     return np.array(position), np.array(command), np.array(error)
 
 
+class ForkedCompanion(Forked):
+    """A companion that no guard ends, as Python takes longer to start than it to fly."""
+
+    stdin = None
+
+    def __init__(self, command, *, stdout, **_):
+        super().__init__(
+            *("testbed.cli.main:main", *command[command.index("companion") :]),
+            cwd=tempfile.gettempdir(),
+            env=environment(100),
+            stdout=stdout,
+            stderr=stdout,
+        )
+
+    def wait(self, timeout=TIMEOUT_S):
+        return super().wait(TIMEOUT_S)
+
+
+@pytest.fixture
+def forked(monkeypatch):
+    """Fork companions; in `make check-all` they are started as always."""
+    if not (LONG or ALL):
+        replaced = SimpleNamespace(**vars(subprocess) | {"Popen": ForkedCompanion})
+        monkeypatch.setattr(companion_processes, "subprocess", replaced)
+
+
 @pytest.fixture(scope="module")
 def in_process():
     return flown(scenario(*LOSSY))
@@ -90,7 +121,7 @@ def own_origins(monkeypatch):
     monkeypatch.setattr(module, "build", build_apart)
 
 
-def test_lockstep_is_the_flight_in_process(in_process, own_origins):
+def test_lockstep_is_the_flight_in_process(in_process, own_origins, forked):
     """To the bit, through a bad network, with another local origin on each aircraft."""
     expected, frames = in_process
     found, others = flown(short(*FLEET, *LOSSY, seconds=SECONDS), LOCKSTEP)
@@ -131,6 +162,7 @@ LOCAL_POSITION = """
 """
 
 
+@in_full  # companions with these positions are found by `test_lockstep_is_the_flight_in_process`
 def test_local_positions_fly_another_formation(in_process, own_origins, tmp_path, monkeypatch):
     """Negative control: companions that take LOCAL_POSITION_NED leave their slots."""
     file = tmp_path / "local.py"
@@ -204,7 +236,7 @@ def test_companion_that_cannot_start_says_why(started):
     assert started == []
 
 
-def test_dead_companion_is_a_warning_in_real_time(started):
+def test_dead_companion_is_a_warning_in_real_time(started, forked):
     """Its aircraft circles after the failsafe; the flight goes on."""
     killer, paced = Killer(started, 2), ExternalOptions(companions=True, pace=1.0)
     collector = Collector()
