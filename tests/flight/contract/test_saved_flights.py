@@ -26,13 +26,13 @@ def numbers(metrics):
 def fly(simulation):
     """All numbers of some later moments, of the metrics and the events."""
     seen = []
-    for until in (6.0, 8.5, 20.0):
+    for until in (6.0, 6.7, 20.0):
         state = simulation.step(until=until)
         seen += [each.tobytes() for each in (*state.truth, *state.estimate, *state.command)]
     return seen, numbers(simulation.metrics), [str(each) for each in simulation.events]
 
 
-def short(name, duration_s=10.0):
+def short(name, duration_s=10.0 if WHOLE else 7.0):
     return set_duration(load_scenario(name), duration_s)
 
 
@@ -56,7 +56,7 @@ def test_restored_flight_goes_on_to_the_bit(name):
 @pytest.mark.parametrize("name", CHOSEN)
 def test_reset_rows_fly_as_new_ones(name):
     """With another seed and the same one; the rows beside stay as they are."""
-    scenario = short(name, 10.0 if WHOLE else 4.0)
+    scenario = short(name, 10.0 if WHOLE else 2.5)
     batch = testbed.Batch(scenario, seeds=[1, 2, 3])
     expected = [numbers(each) for each in batch.run()]
     outer = [batch.aircraft[row].tobytes() for row in (0, 2)]
@@ -95,7 +95,7 @@ def begun(name, *changes, at_s=5.3):
         "scenario.published=null",
         "expect={}",
     ]
-    return set_duration(load_scenario(name, [*settings, *changes]), 10.0)
+    return set_duration(load_scenario(name, [*settings, *changes]), short(name).scenario.duration_s)
 
 
 @pytest.mark.parametrize("name", [each for each in CHOSEN if each != "own-law-repulsion"])
@@ -137,7 +137,7 @@ def test_run_batch_and_log_begin_alike(tmp_path):
     flown = testbed.run(scenario, out=tmp_path / "run")
     assert flown.metrics["begin_s"] == 5.32  # the first sample of the log
     sent = flown.metrics["network"]["links"]["leader"]["uav1"]["sent"]
-    assert sent == pytest.approx(25 * 4.7, abs=2)
+    assert sent == pytest.approx(25 * (scenario.scenario.duration_s - 5.3), abs=2)
     batch = testbed.Batch(scenario, seeds=[1, 2, 1], threads=2)
     first, second, third = (numbers(each) for each in batch.run())
     assert first == third == numbers(flown.metrics) != second
@@ -173,7 +173,7 @@ def test_other_flight_that_ends_earlier_is_named(tmp_path):
         "{name: brief, duration_s: 6, windows: {rectangles: null, circles: null}, published: null}"
     )
     brief.write_text(f"extends: simulation-3\nscenario: {header}\n")
-    scenario = begun("simulation-3", f"scenario.begin={{scenario: {brief}, at_s: 9.0}}")
+    scenario = begun("simulation-3", f"scenario.begin={{scenario: {brief}, at_s: 6.5}}")
     with pytest.raises(InputError, match=r"begin.at_s: brief ends at 6 s: completed \(write an"):
         testbed.Simulation(scenario)
 

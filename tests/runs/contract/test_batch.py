@@ -109,14 +109,18 @@ def test_rows_stay_where_they_are(scenario):
     assert batch.times_s.tolist() == [1.0, 1.5]
 
 
+@pytest.fixture(scope="module")
+def hold_slot():
+    return testbed.Batch("hold-slot", seeds=[1, 2], threads=1)
+
+
 @pytest.mark.parametrize(
     "until", [-1.0, math.nan, 1e9, [1.0], [1.0, -1.0], "1", [None, 1.0], np.zeros((2, 1)), {}]
 )
-def test_wrong_times_of_rows_are_refused(until):
-    batch = testbed.Batch("hold-slot", seeds=[1, 2], threads=1)
+def test_wrong_times_of_rows_are_refused(until, hold_slot):
     with pytest.raises(InputError, match="until: is "):
-        batch.step(until)
-    assert batch.times_s.tolist() == [0.0, 0.0]
+        hold_slot.step(until)
+    assert hold_slot.times_s.tolist() == [0.0, 0.0]
 
 
 @pytest.mark.parametrize(

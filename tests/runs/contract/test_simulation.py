@@ -45,10 +45,8 @@ def positions(simulation):
 
 
 FLIGHTS = {
-    "noisy": ("simulation-3", NOISY),
-    "unsynchronised": ("simulation-3", ["rates.synchronous=false"]),
+    "noisy": ("simulation-3", [*NOISY, "rates.synchronous=false"]),
     "coherent": ("turbulence-moderate", []),
-    "dryden": ("simulation-3", ["air.turbulence.model=dryden"]),
     "von-karman": ("simulation-3", ["air.turbulence.model=von-karman"]),
     "shear": ("wind-8ms", []),
     "wake": ("close-formation-wake", []),
@@ -216,6 +214,11 @@ def test_closed_flight_has_log_and_metrics(tmp_path):
         simulation.reset()
 
 
+@pytest.fixture(scope="module")
+def commanded():
+    return testbed.Simulation(short("fleet.uav2.commanded_by=external", seconds=1.0))
+
+
 @pytest.mark.parametrize(
     ("commands", "message"),
     [
@@ -230,10 +233,10 @@ def test_closed_flight_has_log_and_metrics(tmp_path):
         (3, "commands: is 3"),
     ],
 )
-def test_wrong_commands_are_refused(commands, message):
-    simulation = testbed.Simulation(short("fleet.uav2.commanded_by=external", seconds=1.0))
+def test_wrong_commands_are_refused(commands, message, commanded):
     with pytest.raises(InputError, match=message):
-        simulation.step(commands)
+        commanded.step(commands)
+    assert commanded.time_s == 0.0
 
 
 def test_ended_flight_takes_no_step():
