@@ -7,7 +7,7 @@ import numpy as np
 
 from testbed.flight.loop import fly
 from testbed.plan.world import build
-from testbed.scenario import load_scenario, set_duration
+from testbed.scenario import library, load_scenario, set_duration
 
 SECONDS = 20.0
 NOISY = ("leader.sensors=gps-ins", "fleet.*.sensors=gps-ins")
@@ -76,6 +76,14 @@ def fly_with_recorder(scenario):
     received.clear()  # inputs of the check of the law before the flight
     assert fly(world, [collector], lambda now, due: False) == "completed"
     return collector.frames, received
+
+
+def first_minute(folder):
+    """Write the begin of a recorded flight, which is read sooner; return the change it takes."""
+    whole = library() / "scenarios/data/arduplane-auto-leader-rascal.csv"
+    path = folder / "leader.csv"
+    path.write_text("\n".join(whole.read_text().split("\n")[:775]))
+    return f"leader.path.file={path}"
 
 
 def arrays(frame):

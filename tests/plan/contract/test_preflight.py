@@ -8,6 +8,7 @@ import shutil
 import pytest
 import small_study
 from places import TESTS
+from run_flight import first_minute
 from typer.testing import CliRunner
 
 import testbed
@@ -23,7 +24,6 @@ from testbed.scenario import (
     ScenarioError,
     dump,
     find_aircraft,
-    library,
     load_middle_loop,
     load_scenario,
     loads,
@@ -158,12 +158,8 @@ def test_wind_bounds_the_airspeed_by_default():
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
     """Return warnings of a flight behind the first minute of a recorded leader, with changes."""
-    file = tmp_path_factory.mktemp("recorded") / "leader.csv"
-    rows = (library() / "scenarios/data/arduplane-auto-leader-rascal.csv").read_text().split("\n")
-    file.write_text("\n".join(rows[:775]))
-    return lambda *changes: warnings(
-        "simulation-3-recorded-leader", f"leader.path.file={file}", *MINUTE, *changes
-    )
+    file = first_minute(tmp_path_factory.mktemp("recorded"))
+    return lambda *changes: warnings("simulation-3-recorded-leader", file, *MINUTE, *changes)
 
 
 def test_recorded_leader_in_wind_has_a_warning(recorded):
