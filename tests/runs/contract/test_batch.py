@@ -21,7 +21,7 @@ CLOCKS = ("wall_s", "real_time_factor")
 
 @pytest.fixture(scope="module")
 def scenario():
-    return set_duration(load_scenario("simulation-3", BUSY), 3.0)
+    return set_duration(load_scenario("simulation-3", BUSY), 2.0)
 
 
 def numbers(metrics):
@@ -157,7 +157,7 @@ def test_row_that_cannot_be_built_again_stays(scenario, monkeypatch):
 
 
 def test_rows_can_be_scenarios(scenario):
-    scenarios = [set_seed(scenario, 4), set_duration(scenario, 2.0)]
+    scenarios = [set_seed(scenario, 4), set_duration(scenario, 1.5)]
     batch = testbed.Batch(scenarios)
     assert [numbers(each) for each in batch.run()] == [
         numbers(testbed.run(each, write=False).metrics) for each in scenarios
