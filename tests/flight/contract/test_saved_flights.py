@@ -5,6 +5,7 @@ import threading
 
 import numpy as np
 import pytest
+from places import ROOT
 
 import testbed
 from testbed.core.errors import InputError
@@ -98,7 +99,11 @@ def begun(name, *changes, at_s=5.3):
     return set_duration(load_scenario(name, [*settings, *changes]), short(name).scenario.duration_s)
 
 
-@pytest.mark.parametrize("name", [each for each in CHOSEN if each != "own-law-repulsion"])
+BEGUN = [each for each in CHOSEN if each != "own-law-repulsion"]
+COMPILED = pytest.param(str(ROOT / "examples/integral-kernel.yaml"), id="compiled-law")
+
+
+@pytest.mark.parametrize("name", [*BEGUN, COMPILED])
 def test_flight_begins_as_another_to_the_bit(name):
     other, own = (testbed.Simulation(each) for each in (short(name), begun(name, at_s=5.3)))
     other.step(until=5.3)
