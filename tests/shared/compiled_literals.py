@@ -20,6 +20,8 @@ from testbed.compiled.translate import _HEADER
 from testbed.core.compile import entry_of_source
 from testbed.vehicle.jsbsim_adapter import SHARED_FILES, load
 
+MANY = 8  # elements, of which LINE_PARTS are added in one line in place of the translator's 50
+LINE_PARTS = 5
 DT = 1e-12  # s, of a frame: the aircraft stays where it is, and filters have the step of loading
 INPUTS = ("made/x", "made/y", "made/z")
 X, Y, Z = (f"<property> {name} </property>" for name in INPUTS)
@@ -46,7 +48,9 @@ def _when(test, text):
     return f"<ifthen>{test}{text}{value(0)}</ifthen>"
 
 
-IN_100 = f"<and><gt>{X}{value(0)}</gt><lt>{X}{value(99)}</lt></and>"
+IN_10, IN_100 = (
+    f"<and><gt>{X}{value(0)}</gt><lt>{X}{value(count - 1)}</lt></and>" for count in (10, 100)
+)
 FINITE = f"<and><lt><abs>{X}</abs>{value(1e300)}</lt><lt><abs>{Y}</abs>{value(1e300)}</lt></and>"
 WHOLE = f"<and><lt><abs>{X}</abs>{value(2e9)}</lt><gt><abs>{Y}</abs>{value(1)}</gt></and>"
 ROWS = """<independentVar lookup="row"> made/x </independentVar>
@@ -81,13 +85,13 @@ OWN = {
         f"switch-{count}": _when(IN_100, f"<switch>{X}{''.join(map(value, range(count)))}</switch>")
         for count in (100,)
     },
-    "switch-read": _when(IN_100, f"<switch>{X}{Y}{Z}{value(1) * 98}</switch>"),
-    "min-many": f"<min>{X}{Y * 60}{Z}</min>",
-    "and-many": f"<and>{f'<lt>{X}{Y}</lt>' * 60}<lt>{X}{Z}</lt></and>",
+    "switch-read": _when(IN_10, f"<switch>{X}{Y}{Z}{value(1) * 8}</switch>"),
+    "min-many": f"<min>{X}{Y * MANY}{Z}</min>",
+    "and-many": f"<and>{f'<lt>{X}{Y}</lt>' * MANY}<lt>{X}{Z}</lt></and>",
     "mod": _when(WHOLE, f"<mod>{X}{Y}</mod>"),
-    "sum-many": f"<sum>{X}{Y * 60}{Z}{value(0.1) * 60}</sum>",
-    "difference-many": f"<difference>{X}{Y * 60}{Z}{value(0.1) * 60}</difference>",
-    "avg-many": f"<avg>{X}{Y * 60}{Z}</avg>",
+    "sum-many": f"<sum>{X}{Y * MANY}{Z}{value(0.1) * MANY}</sum>",
+    "difference-many": f"<difference>{X}{Y * MANY}{Z}{value(0.1) * MANY}</difference>",
+    "avg-many": f"<avg>{X}{Y * MANY}{Z}</avg>",
     "power of a sine": f"<pow><sin>{X}</sin>{value(2)}</pow>",
     "power of a choice": f"<pow>{X}<ifthen><lt>{Y}{Z}</lt>{value(2)}{value(0.5)}</ifthen></pow>",
     "power of a constant": f"<pow>{X}<product>{value(4)}{value(0.5)}</product></pow>",

@@ -1,9 +1,10 @@
 """Aircraft with powers of literals in drag, moments, gains and filters: both engines fly the same.
 
 LLVM replaces some of these powers by other functions, which differ in the last bit. The aircraft
-has limits of a stall's hysteresis, and odd and large functions, too, as compiling another one takes
-seconds. A sample of 2 s of
-one aircraft; 120 s of both with TESTBED_ENGINES=1.
+has limits of a stall's hysteresis, and odd and large functions, too. Only in `make check-all`, as
+compiling it takes seconds: its functions are compiled in test_compiled_literals.py, and its limits
+are in test_compiled_elements.py. A sample of 2 s of one aircraft; 120 s of both with
+TESTBED_ENGINES=1.
 """
 
 import os
@@ -26,6 +27,7 @@ from testbed.vehicle.jsbsim_adapter import load
 WHOLE = os.environ.get("TESTBED_ENGINES") == "1"
 DURATION_S = 120.0 if WHOLE else 2.0
 RATE_HZ = 200
+pytestmark = pytest.mark.skipif(not (WHOLE or ALL), reason="run by make check-all")
 EXPONENTS = (0.33333, 0.5, 2.0, 4.0, -1.0)  # the first four are those of JSBSim's collection
 SPEED = "<quotient><p>velocities/vt-fps</p><v>70</v></quotient>"
 FLOW = "<sum><abs><p>aero/alpha-rad</p></abs><v>0.3</v></sum>"
@@ -104,7 +106,7 @@ def test_flights_with_powers_are_equal(tmp_path, base):
     assert_equal(flown["compiled"], flown["jsbsim"])
 
 
-@pytest.mark.parametrize("glider", [False, *[True] * (WHOLE or ALL)])
+@pytest.mark.parametrize("glider", [False, True])
 def test_models_with_powers_are_equal(tmp_path, glider):
     """Each number after each step, with random controls and gusts.
 

@@ -30,7 +30,8 @@ def test_each_row_has_its_controls_and_wind():
     aircraft = find_engine(FOLDER, RATE_HZ).compiled
     rows = np.tile(place_row(FOLDER, START, ORIGIN, RATE_HZ).row, (3, 1))
     names = [f"fcs/{each}-cmd-norm" for each in ("aileron", "elevator", "rudder", "throttle")]
-    controls, wind = rows[:, [aircraft.columns[name] for name in names]], np.zeros((3, 7))
+    controls = np.stack([rows[:, aircraft.columns[name]] for name in names], axis=1)
+    wind = np.zeros((3, 7))
     controls[1, 0] += 0.1
     wind[2, 2] = -10.0  # ft/s, a gust upwards
     status = aircraft.advance(rows, 1.0 / RATE_HZ, 40, controls=controls, wind=wind)
