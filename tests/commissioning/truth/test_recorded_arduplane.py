@@ -5,7 +5,7 @@ import os
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from types import ModuleType
 
@@ -37,9 +37,16 @@ fly_recorded = partial(respond, integrators=JSBSIM_DEFAULT_INTEGRATORS)  # as th
 SITL = AutopilotTiming(sitl_physics_hz=200.0)
 
 
+@cache
+def _table(path: Path) -> np.ndarray:
+    """Read a table, whose file does not change any more."""
+    table: np.ndarray = np.genfromtxt(path, delimiter=",", names=True)
+    return table
+
+
 def _difference(out: Path, column: str, start: float = 2.0) -> np.ndarray:
-    flown = np.genfromtxt(out, delimiter=",", names=True)
-    recorded = np.genfromtxt(RECORDING, delimiter=",", names=True)[: len(flown)]
+    flown = _table(out)
+    recorded = _table(RECORDING)[: len(flown)]
     assert flown["t_s"][-1] >= SHORT_S - 0.1
     assert flown.dtype.names == recorded.dtype.names
     assert np.array_equal(flown["t_s"], recorded["t_s"])

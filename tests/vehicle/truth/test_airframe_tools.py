@@ -421,10 +421,19 @@ class TestCommands:
         assert document["throttle_limited_s"] == 0.0
         check_snapshot("step", done.stderr)
 
-    def test_step_with_limited_throttle_warns(self):
+    def test_step_with_limited_throttle_warns(self, monkeypatch):
         """A line where the throttle is at a limit for more than 2 of the 20 s."""
+        flown = []
+
+        def fly(*arguments, **options):
+            flown.append(speed_step(*arguments, **options))
+            return flown[-1]
+
+        name = "testbed.commissioning.speed_step.speed_step"
+        monkeypatch.setattr(name, fly)
         done = self.run("step", "skywalker_x8", "--step", "6")
         check_snapshot("step_limited", done.stdout)
+        monkeypatch.setattr(name, lambda *_, **__: replace(flown[0], limited_s=1.2))
         done = self.run("step", "skywalker_x8", "--step", "4")
         assert " throttle at a limit      1.20 s" in done.stdout
         assert "that of the motor" not in done.stdout
