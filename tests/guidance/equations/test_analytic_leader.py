@@ -7,6 +7,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from close_arrays import assert_close
 
 from testbed.core.errors import InputError
 from testbed.core.frames import GRAVITY, euler_rates, wrap_pi
@@ -68,7 +69,7 @@ def test_derivatives_equal_finite_differences(curve):
             lambda time, name=lower: getattr(analytic.derivatives(curve, time), name), WIDE
         )
         # rounding of 5,000 m over 0.01 s; 0.01⁴ / 30 of 22 m/s · (0.88 rad/s)⁵ is 4e-9
-        assert slope == pytest.approx(getattr(path, higher), abs=2e-9), higher
+        assert_close(slope, getattr(path, higher), 2e-9)
     assert max(np.abs(path.velocity).max(), np.abs(path.acceleration).max()) < 40.0
 
 
@@ -91,20 +92,19 @@ def test_attitude_and_rates_are_those_of_the_path(curve):
     assert {len(getattr(track, each.name)) for each in fields(SampledTrajectory)} == {len(WIDE)}
 
     north, east, down = path.velocity.T
-    assert wrap_pi(track.euler[:, 2] - np.arctan2(east, north)) == pytest.approx(0.0, abs=1e-12)
-    assert np.sin(track.euler[:, 1]) == pytest.approx(
-        -down / np.linalg.norm(path.velocity, axis=1), abs=1e-14
-    )
+    assert_close(wrap_pi(track.euler[:, 2] - np.arctan2(east, north)), 0.0, 1e-12)
+    gamma = -down / np.linalg.norm(path.velocity, axis=1)
+    assert_close(np.sin(track.euler[:, 1]), gamma, 1e-14)
     # a coordinated turn: the horizontal acceleration across the velocity is g tan φ
     right = np.column_stack([-np.sin(track.euler[:, 2]), np.cos(track.euler[:, 2])])
     across = (path.acceleration[:, :2] * right).sum(axis=1)
-    assert GRAVITY * np.tan(track.euler[:, 0]) == pytest.approx(across, abs=1e-12)
+    assert_close(GRAVITY * np.tan(track.euler[:, 0]), across, 1e-12)
 
     def angles(time):  # unwrapped about now, so that differences are differences
         return wrap_pi(analytic.evaluate(curve, time).euler - track.euler) + track.euler
 
     turning = euler_rates(track.euler, track.rates_body)
-    assert difference(angles, WIDE) == pytest.approx(turning, abs=1e-8)
+    assert_close(difference(angles, WIDE), turning, 1e-8)
 
 
 @every_curve
@@ -112,14 +112,14 @@ def test_frame_rates_equal_finite_differences(curve):
     rates = frame_rates(curve, WIDE)
     track = analytic.evaluate(curve, WIDE)
     turning = euler_rates(track.euler, track.rates_body)
-    assert rates.chi_dot == pytest.approx(turning[:, 2], abs=1e-14)
-    assert rates.gamma_dot == pytest.approx(turning[:, 1], abs=1e-14)
+    assert_close(rates.chi_dot, turning[:, 2], 1e-14)
+    assert_close(rates.gamma_dot, turning[:, 1], 1e-14)
 
     def rate(name):
         return lambda time: getattr(frame_rates(curve, time), name)
 
-    assert difference(rate("chi_dot"), WIDE) == pytest.approx(rates.chi_ddot, abs=1e-8)
-    assert difference(rate("gamma_dot"), WIDE) == pytest.approx(rates.gamma_ddot, abs=1e-8)
+    assert_close(difference(rate("chi_dot"), WIDE), rates.chi_ddot, 1e-8)
+    assert_close(difference(rate("gamma_dot"), WIDE), rates.gamma_ddot, 1e-8)
 
 
 def test_frame_rates_with_a_changing_climb():
@@ -141,9 +141,9 @@ def test_frame_rates_with_a_changing_climb():
 
     rates = analytic.frame_rates(path(WIDE))
     assert np.abs(rates.gamma_dot).max() > 0.01
-    assert difference(angle, WIDE) == pytest.approx(rates.gamma_dot, abs=1e-11)
+    assert_close(difference(angle, WIDE), rates.gamma_dot, 1e-11)
     slope = difference(lambda time: analytic.frame_rates(path(time)).gamma_dot, WIDE)
-    assert slope == pytest.approx(rates.gamma_ddot, abs=1e-11)
+    assert_close(slope, rates.gamma_ddot, 1e-11)
 
 
 def test_circle_by_hand():
@@ -185,8 +185,8 @@ def test_figure_eight_closes_with_its_radius():
     away = path.position - start
     along = away[:, 0] * math.cos(tip) + away[:, 1] * math.sin(tip)
     across = away[:, 1] * math.cos(tip) - away[:, 0] * math.sin(tip)
-    assert along[:2001] == pytest.approx(along[2000:], abs=1e-9)
-    assert across[:2001] == pytest.approx(-across[2000:], abs=1e-9)
+    assert_close(along[:2001], along[2000:], 1e-9)
+    assert_close(across[:2001], -across[2000:], 1e-9)
     assert np.abs(across).max() == pytest.approx(283.2, abs=0.1)
     assert np.abs(along).max() == pytest.approx(104.7, abs=0.1)
 
@@ -296,7 +296,7 @@ def test_ideal_leader_passes_corners_at_altitude(flight):
     assert altitude[begun] == pytest.approx(corner[:, 2], abs=1.0)
     # a turn begins 0.75 · 15 s · 22 m/s / π = 78.8 m ahead, found out at most 0.9 m later
     assert np.all(away[:-1] < 79.0) and np.all(away[:-1] > 77.5)
-    assert speed == pytest.approx(22.0, abs=1e-9)
+    assert_close(speed, 22.0, 1e-9)
 
     # A lap is four sides less what each corner cuts: a turn on 22² / (g tan 30°) = 85.5 m saves
     # (2 − π/2) · 85.5 = 36.7 m. L1 begins its turn 6.9 m late and eases out of it: up to 2 s more.
@@ -324,7 +324,7 @@ def test_ideal_leader_counts_turns(flight):
     # three turns of 2π · 120 m at 22 m/s, 102.8 s; a climb at 1.5 m/s is 0.2 % slower over ground
     assert np.diff(time[change]) == pytest.approx(6.0 * math.pi * 120.0 / 22.0, abs=0.3)
     circle = time > change[0] / 25.0
-    assert np.hypot(north - 320.0, east - 320.0)[circle] == pytest.approx(120.0, abs=0.01)
+    assert_close(np.hypot(north - 320.0, east - 320.0)[circle], 120.0, 0.01)
     # atan(22² / (120 · 9.80665)), less the climb's share of the speed
-    assert np.degrees(bank[circle]) == pytest.approx(22.356, abs=0.15)
+    assert_close(np.degrees(bank[circle]), 22.356, 0.15)
     assert altitude[-1] == pytest.approx(120.0, abs=0.1)

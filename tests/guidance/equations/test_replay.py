@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from close_arrays import assert_close
 from places import ROOT
 
 from testbed.core.frames import euler_rates, wrap_pi
@@ -25,11 +26,6 @@ def orbit(time: np.ndarray) -> np.ndarray:
         + [zero, zero + turn * np.sin(bank), zero + turn * np.cos(bank)]
         + [zero + 22.0, zero + 0.25]
     )
-
-
-def assert_close(found: np.ndarray, expected: np.ndarray | float, within: float) -> None:
-    """Compare arrays: `pytest.approx` takes 10 µs for each number."""
-    np.testing.assert_allclose(found, expected, rtol=0.0, atol=within)
 
 
 def write(path: Path, rows: np.ndarray, stamp: str = "%.3f") -> Path:

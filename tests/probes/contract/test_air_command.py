@@ -4,7 +4,7 @@ import json
 import math
 import re
 import struct
-from functools import cache, partial
+from functools import cache
 
 import numpy as np
 import pytest
@@ -34,6 +34,16 @@ WIND = ("air.wind.speed_mps=8", "air.wind.from_deg=240")
 WIND_NED = 8.0 * np.array([math.cos(math.radians(60.0)), math.sin(math.radians(60.0)), 0.0])
 START = np.array([640.0, -80.0])  # of the leader of simulation-3
 MODEL = "air.turbulence.model"
+
+
+@cache
+def made_small(seed, sigma, length):
+    return make_field(seed, np.array(sigma), np.array(length), path_m=1000.0)
+
+
+def make_small_field(seed, sigma, length, **_):
+    """Make a field for a short flight, once."""
+    return made_small(seed, tuple(sigma), tuple(length))
 
 
 def air(*arguments, sets=()):
@@ -212,7 +222,9 @@ def recorded():
     return record
 
 
-@pytest.mark.parametrize("model", ["dryden", "von-karman", "coherent"])
+@pytest.mark.parametrize(
+    "model", ["dryden", pytest.param("von-karman", marks=in_full), "coherent"]
+)
 def test_spectra_and_coherence_match_closed_forms(model, recorded):
     scenario, course, record = recorded(model)
     found = estimate(record.about_mean(course.course), course.rate_hz)
@@ -263,7 +275,7 @@ def test_table_has_the_statistics_of_the_arrays(tmp_path):
 
 @pytest.mark.parametrize("model", ["none", "coherent"])
 def test_table_fits_80_columns(model, tmp_path, monkeypatch):
-    monkeypatch.setattr("testbed.plan.air.make_field", partial(make_field, path_m=1000.0))
+    monkeypatch.setattr("testbed.plan.air.make_field", make_small_field)
     words = ("air", "simulation-3", "--duration", "2", "--separation", "5", "--set")
     done = call_command(
         *words, f"{MODEL}={model}", "--json", "table.json", cwd=tmp_path, code=0, columns=80
@@ -275,18 +287,15 @@ def test_table_fits_80_columns(model, tmp_path, monkeypatch):
     assert "…" not in narrow.stdout
 
 
-PLOTS = (
-    ("a.png", b"\x89PNG"),
-    pytest.param("a.pdf", b"%PDF", marks=in_full),
-    pytest.param("a.SVG", b"<?xml", marks=in_full),
-)
+PLOTS = (("a.png", b"\x89PNG"), ("a.pdf", b"%PDF"), ("a.SVG", b"<?xml"))
 
 
+@in_full
 @pytest.mark.parametrize(("name", "start"), PLOTS)
 def test_plot_is_reproducible(name, start, tmp_path):
-    """SVG, which has a date and ids, is drawn twice by the test of the network."""
+    """`make test` draws the plot of the network, whose SVG has a date and ids."""
     drawn = []
-    for _ in range(2 if name == "a.png" and ALL else 1):
+    for _ in range(2 if name == "a.png" else 1):
         done = air("--duration", 4, "--plot", tmp_path / name, sets=(f"{MODEL}=von-karman",))
         assert done.exit_code == 0, done.exception
         drawn.append((tmp_path / name).read_bytes())
@@ -313,7 +322,7 @@ def test_plot_of_two_probes_has_coherence(model, tmp_path, monkeypatch):
     monkeypatch.setattr(
         "testbed.views.matplotlib_backend.save_figure", lambda sheet, *_: sheets.append(sheet)
     )
-    monkeypatch.setattr("testbed.plan.air.make_field", partial(make_field, path_m=1000.0))
+    monkeypatch.setattr("testbed.plan.air.make_field", make_small_field)
     words = ("--duration", 20, "--separation", 50, "--plot", tmp_path / "a.png")
     assert air(*words, sets=(f"{MODEL}={model}",)).exit_code == 0
     rows = sheets[0].rows
