@@ -12,7 +12,7 @@ from testbed.network.channel import make_channel
 from testbed.network.links import PacketOutcome, resolve_links
 from testbed.scenario.network import Network
 
-PACKETS = int(os.environ.get("TESTBED_PACKETS", "30000"))
+PACKETS = int(os.environ.get("TESTBED_PACKETS", "12000"))
 SEED = 1
 # The tests of the channel ask some 200 times whether chance explains a deviation. Bonferroni: at
 # this level, a channel that is right fails one or more of them for one seed in a hundred.

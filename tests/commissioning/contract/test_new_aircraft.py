@@ -210,7 +210,8 @@ def test_speed_without_level_flight_is_refused(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_glider_descends_at_each_speed(tmp_path):
+def test_glider_descends_at_each_speed(tmp_path, monkeypatch):
+    monkeypatch.setattr("testbed.views.matplotlib_backend.save_figure", lambda *_: None)
     done = new_aircraft(tmp_path, "SGS", "--json", "-")
     document = json.loads(done.stdout)
     assert len(document["trims"]) >= 3 and document["speed_pole_per_s"] is None

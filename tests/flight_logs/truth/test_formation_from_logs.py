@@ -226,30 +226,31 @@ def test_formation_with_another_clock_is_off(flown, formations):
     assert rms["uav2"] == pytest.approx(own["uav2"], abs=1e-9)
 
 
-def records(data):
-    """Yield (record, message) of a .tlog."""
-    at = 0
+@pytest.fixture(scope="module")
+def records(flown):
+    """Return (record, message) of the .tlog."""
+    data, at, found = (flown / "run/run.tlog").read_bytes(), 0, []
     while at < len(data):
         end = at + 8 + 12 + data[at + 9]
-        yield data[at:end], decode(data[at + 8 : end])
+        found.append((data[at:end], decode(data[at + 8 : end])))
         at = end
+    return found
 
 
-def without(data, name, system=None, begin_ms=-math.inf, end_ms=math.inf):
+def without(records, name, system=None, begin_ms=-math.inf, end_ms=math.inf):
     """Return a .tlog without some messages: of a system, between two times of its clock."""
     return b"".join(
         record
-        for record, message in records(data)
+        for record, message in records
         if message.name != name
         or message.system != (system or message.system)
         or not begin_ms < message.fields["time_boot_ms"] < end_ms
     )
 
 
-def test_formation_by_times_of_receipt_is_noted(flown):
+def test_formation_by_times_of_receipt_is_noted(flown, records):
     """Without SYSTEM_TIME the receiver's clock is used; here both are the same."""
-    data = without((flown / "run/run.tlog").read_bytes(), "SYSTEM_TIME")
-    (flown / "receipt.tlog").write_bytes(data)
+    (flown / "receipt.tlog").write_bytes(without(records, "SYSTEM_TIME"))
     words = ("import-formation", flown / "three.yaml", flown / "receipt.tlog")
     printed = " ".join(invoke(flown, *words, "--out", flown / "receipt").split())
     assert "leader: unix_s: times of receipt, as no SYSTEM_TIME has a time" in printed
@@ -258,9 +259,8 @@ def test_formation_by_times_of_receipt_is_noted(flown):
     assert found["mean_rms_m"] == pytest.approx(own["mean_rms_m"], abs=SLOT_ERROR_M)
 
 
-def test_formation_leaves_out_gaps(flown):
-    data = (flown / "run/run.tlog").read_bytes()
-    (flown / "gap.tlog").write_bytes(without(data, "GLOBAL_POSITION_INT", 3, 10_000, 12_500))
+def test_formation_leaves_out_gaps(flown, records):
+    (flown / "gap.tlog").write_bytes(without(records, "GLOBAL_POSITION_INT", 3, 10_000, 12_500))
     words = ("import-formation", flown / "three.yaml", flown / "gap.tlog", "--out", flown / "gap")
     assert "left out: 0.0 to 10.0 s" in " ".join(invoke(flown, *words).split())
     log = read_log(flown / "gap" / "run.mcap")
@@ -471,10 +471,10 @@ def test_map_without_attitude_is_complete(tmp_path):
         read_mapped(path, write_map(tmp_path / "wrong.yaml", backwards))
 
 
-def test_import_of_zero_position_has_no_leader(flown, tmp_path):
+def test_import_of_zero_position_has_no_leader(records, tmp_path):
     """ArduPlane sends latitude and longitude 0 where it knows none."""
     out = []
-    for record, message in records((flown / "run/run.tlog").read_bytes()):
+    for record, message in records:
         frame = record[8:]
         if message.name == "GLOBAL_POSITION_INT":
             boot_ms = message.fields["time_boot_ms"]

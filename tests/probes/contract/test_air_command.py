@@ -222,9 +222,7 @@ def recorded():
     return record
 
 
-@pytest.mark.parametrize(
-    "model", ["dryden", pytest.param("von-karman", marks=in_full), "coherent"]
-)
+@pytest.mark.parametrize("model", ["dryden", pytest.param("von-karman", marks=in_full), "coherent"])
 def test_spectra_and_coherence_match_closed_forms(model, recorded):
     scenario, course, record = recorded(model)
     found = estimate(record.about_mean(course.course), course.rate_hz)

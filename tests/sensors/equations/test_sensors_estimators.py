@@ -371,7 +371,7 @@ def test_errors_of_the_pixhawk_preset():
     of the aircraft relative to each other.
     """
     legs = [(60, 0, 0), (60, 1, 0), (60, 0, 0), (60, -1, 0)] * 3
-    flight = make_flight(25, *legs[: 10 if ALL else 4])
+    flight = make_flight(25, *legs[: 10 if ALL else 2])
     n = 30 if ALL else 12
     seen = wrong(fly(make([PIXHAWK] * n, flight=flight), n, flight=flight), flight)
 

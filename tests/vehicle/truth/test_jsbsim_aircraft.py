@@ -160,11 +160,13 @@ def test_what_has_no_wing_is_named(tmp_path):
         find_cruise(of_jsbsim("mk82", tmp_path))
 
 
-def test_control_without_effect_is_named(folders, tmp_path):
-    pattern = r'(<summer name="Pitch Trim Sum">\s*<input>)\s*fcs/elevator-cmd-norm'
-    deaf = changed(folders["c172p"], tmp_path, (pattern, r"\1fcs/flap-cmd-norm"))
+def test_control_without_effect_is_named(tmp_path):
+    pattern = r'(<aerosurface_scale name="fcs/elevator">\s*<input>) fcs/elevator-cmd-norm'
+    deaf = changed(
+        library() / "aircraft" / "rascal110", tmp_path, (pattern, r"\1 fcs/flap-cmd-norm")
+    )
     with pytest.raises(TrimError, match="the commands of elevator have no effect"):
-        trim_aircraft(deaf, TrimPoint(80.0))
+        trim_aircraft(deaf, TrimPoint(14.0))
 
 
 def test_cruise_speed_has_its_lift_coefficient(folders):
