@@ -425,7 +425,7 @@ def test_import_damage_is_noted_or_an_error(folder, capfd):
     path = folder / "damaged.bin"
     good = write_dataflash(path, SHORT[:100]).read_bytes()
     fine = 0
-    tries = int(os.environ.get("TESTBED_FRAMES", "2500")) // 30
+    tries = int(os.environ.get("TESTBED_FRAMES", "1500")) // 30
     for _ in range(tries):
         path.write_bytes(damage(good, rng))
         try:

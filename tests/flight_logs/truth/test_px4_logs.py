@@ -392,7 +392,7 @@ def test_ulg_damage_is_noted_or_an_error(folder, capfd):
     rng = random.Random(20261130)
     path = folder / "damaged.ulg"
     good = write_ulog(path, SHORT).read_bytes()
-    fine, tries = 0, int(os.environ.get("TESTBED_FRAMES", "10000")) // 100
+    fine, tries = 0, int(os.environ.get("TESTBED_FRAMES", "5000")) // 100
     for _ in range(tries):
         path.write_bytes(damage(good, rng))
         try:
