@@ -2,6 +2,7 @@
 
 import math
 import sys
+from functools import cache
 
 import numpy as np
 import pytest
@@ -83,10 +84,15 @@ def flown(processes, *, lose=None, rows=None):
     return [np.concatenate(each) for each in zip(*out, strict=True)], fleet
 
 
+@cache
+def flown_alone(lose=None):
+    return flown(1, lose=lose)
+
+
 @each_count
 @pytest.mark.parametrize("lose", [None, 10])
 def test_who_steps_an_aircraft_changes_nothing(processes, lose):
-    alone, one = flown(1, lose=lose)
+    alone, one = flown_alone(lose)
     several, many = flown(processes, lose=lose)
     assert type(one) is JsbsimFleet
     assert type(many) is not JsbsimFleet
@@ -115,7 +121,7 @@ def test_input_lost_between_processes_is_found(monkeypatch, input_):
 @pytest.mark.parametrize("processes", [1, 2])
 def test_fleet_writes_only_its_rows_of_a_run(processes):
     rows = [7, 2, 9, 0, 4]
-    own, fleet = flown(1)[0], flown(processes, rows=rows)
+    own, fleet = flown_alone()[0], flown(processes, rows=rows)
     for ours, theirs in zip(own, fleet[0], strict=True):
         np.testing.assert_array_equal(theirs, ours)
     others = np.setdiff1d(np.arange(2 * N), rows)
