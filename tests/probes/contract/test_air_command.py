@@ -216,7 +216,7 @@ def recorded():
 
     @cache
     def record(model):
-        pair = {"course": 40.0, "separation": 10.0, "duration": 400.0 if ALL else 200.0}
+        pair = {"course": 40.0, "separation": 10.0, "duration": 400.0 if ALL else 120.0}
         return record_probe(f"{MODEL}={model}", *WIND, **pair)
 
     return record
