@@ -27,6 +27,7 @@ from arduplanes import (
     running,
 )
 from rich.console import Console
+from run_flight import Collector
 from together import together
 from waiting import TIMEOUT_S, until
 
@@ -65,11 +66,16 @@ def test_mixed_flight_repeats_to_the_bit(binary, monkeypatch):
     assert np.abs(pulses[:, 1] - np.rint(pulses[:, 1])).max() > 0.1
 
 
-def test_metrics_and_table_show_arduplane_versions(binary, tmp_path):
-    lines = []
+def test_elevon_flight_has_the_arduplane_version(binary, tmp_path):
+    """It flies level; metrics and table have the version, and a quiet run announces nothing."""
+    lines, collector = [], Collector()
     quiet = ExternalOptions(announce=lines.append, quiet=True)
-    result = run(make_scenario(1.0), out=tmp_path / "run", external=quiet)
+    scenario = make_scenario(2.0, "leader.aircraft=skywalker_x8")
+    result = run(scenario, out=tmp_path / "run", external=quiet, observers=[collector])
     assert not lines
+    last = collector.frames[-1].truth
+    assert abs(last.euler[0, 0]) < np.radians(10)
+    assert last.position_ned[0, 2] == pytest.approx(-100.0, abs=5.0)
     (name,) = result.metrics["arduplane"]
     assert result.metrics["arduplane"] == {name: "4.7.1 (stand-in)"}
     output = io.StringIO()
@@ -88,21 +94,25 @@ def test_virtual_autopilots_beside_it_are_unchanged(binary):
     assert mixed.euler[0].tobytes() != virtual.euler[0].tobytes()
 
 
-def test_four_arduplanes_hold_slots_like_virtual(binary):
-    """Fly all of Simulation 3 if TESTBED_ARDUPLANE_WHOLE is set, else 5 s from the slots."""
+def test_arduplanes_hold_slots_like_virtual(binary):
+    """Four fly all of Simulation 3 if TESTBED_ARDUPLANE_WHOLE is set; else two, 5 s from slots."""
     rate, sitl = "rates.physics_hz=200", "autopilot={kind: virtual, gyro_filter: sitl}"
     own = [rate, f"leader.{sitl}", f"fleet.*.{sitl}"]
-    four = [rate, f"leader.autopilot={ardupilot()}"]
-    four += [f"fleet.uav{n}.autopilot={ardupilot(n)}" for n in (1, 2, 3)]
+    followers = (1, 2, 3) if WHOLE else (1,)
+    planes = [*own, f"leader.autopilot={ardupilot()}"]
+    planes += [f"fleet.uav{n}.autopilot={ardupilot(n)}" for n in followers]
     if WHOLE:
         windows = load_scenario("simulation-3").scenario.windows
-        scenario, virtual = load_scenario("simulation-3", four), load_scenario("simulation-3", own)
+        scenario, virtual = (
+            load_scenario("simulation-3", planes),
+            load_scenario("simulation-3", own),
+        )
     else:
         slots = load_scenario("simulation-3").formation.offsets_m.items()
         there = [f"fleet.{name}.start_m={list(slot)}" for name, slot in slots]
         windows = {"on the way": (2.0, 5.0)}
         scenario, virtual = (
-            set_duration(load_scenario("simulation-3", [*there, *o]), 5.0) for o in (four, own)
+            set_duration(load_scenario("simulation-3", [*there, *o]), 5.0) for o in (planes, own)
         )
     real, ours = fly(scenario), fly(virtual)
     for begin, end in windows.values():
@@ -116,12 +126,6 @@ def rms(frames, begin, end):
     return np.sqrt(np.mean(np.sum(np.square(errors), axis=2), axis=0))
 
 
-def test_elevon_aircraft_flies(binary):
-    frames = fly(make_scenario(2.0, "leader.aircraft=skywalker_x8"))
-    assert abs(frames[-1].truth.euler[0, 0]) < np.radians(10)
-    assert frames[-1].truth.position_ned[0, 2] == pytest.approx(-100.0, abs=5.0)
-
-
 def test_32_outputs_and_overrides_fly_the_same(binary, monkeypatch):
     plain = fly(make_scenario(2.0))[-1].truth
     monkeypatch.setenv("ARDUPLANE_STAND_IN", "outputs32 ignores-rc")
@@ -133,19 +137,18 @@ def test_32_outputs_and_overrides_fly_the_same(binary, monkeypatch):
 
 
 def test_faults_act_behind_the_servo_outputs(binary):
+    """From 1 s on; from 1.5 s on the autopilot is frozen, and holds the others."""
     fault = "leader.faults=[{kind: surface-stuck, surface: aileron, position: 0.4, at_s: 1}, "
-    frames = fly(make_scenario(2.0, fault + "{kind: engine-out, at_s: 1}]"))
-    before, after = (np.array([f.time_s for f in frames]) <= 0.9, slice(-20, None))
-    ailerons = np.array([frame.surfaces.aileron[0] for frame in frames])
-    throttles = np.array([frame.surfaces.throttle[0] for frame in frames])
-    assert np.all(np.abs(ailerons[before]) < 0.3) and np.all(ailerons[after] == 0.4)
-    assert np.all(throttles[before][1:] > 0.05) and np.all(throttles[after] == 0.0)
-
-
-def test_frozen_arduplane_holds_its_servos(binary):
-    frames = fly(make_scenario(2.0, "leader.faults=[{kind: autopilot-frozen, at_s: 1}]"))
-    held = {tuple(float(each[0]) for each in f.surfaces) for f in frames if f.time_s > 1.1}
-    assert len(held) == 1
+    fault += "{kind: engine-out, at_s: 1}, {kind: autopilot-frozen, at_s: 1.5}]"
+    frames = fly(make_scenario(2.0, fault))
+    time_s = np.array([f.time_s for f in frames])
+    before, moving, held = time_s <= 0.9, (1.1 < time_s) & (time_s < 1.5), time_s > 1.6
+    surfaces = np.array([[float(each[0]) for each in f.surfaces] for f in frames])
+    ailerons = np.array([float(f.surfaces.aileron[0]) for f in frames])
+    throttles = np.array([float(f.surfaces.throttle[0]) for f in frames])
+    assert np.all(np.abs(ailerons[before]) < 0.3) and np.all(ailerons[held] == 0.4)
+    assert np.all(throttles[before][1:] > 0.05) and np.all(throttles[held] == 0.0)
+    assert len(np.unique(surfaces[held], axis=0)) == 1 < len(np.unique(surfaces[moving], axis=0))
 
 
 def test_arduplane_computes_before_the_models_step(binary):
@@ -230,31 +233,25 @@ def test_parallel_runs_take_free_instances(binary, tmp_path):
 
 
 def test_announced_instance_is_a_free_one(binary, tmp_path):
+    """Also that of another ArduPlane; one warning names both."""
     lines = []
-    two = set_duration(loads(SCENARIO, ["leader.autopilot=ardupilot"]), 0.1)
+    both = ["leader.autopilot=ardupilot", f"fleet.uav1.autopilot={ardupilot(1)}"]
+    two = set_duration(loads(SCENARIO, both), 0.1)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         with suppress(OSError):  # another test has it
             other.bind(("127.0.0.1", 9002))
         run(two, write=False, external=ExternalOptions(announce=lines.append))
-    line, warning = lines
+    line, other_line, warning = lines
     instance = int(line.split("instance ")[1].split(",")[0])
     assert instance > 0
     ports = f"{9002 + 10 * instance}/udp and {5760 + 10 * instance}/tcp of 127.0.0.1"
     assert line == f"ArduPlane: leader by instance {instance}, {ports}"
+    assert other_line.startswith(f"ArduPlane: uav1 by instance {FIRST + 1}, ")
     assert warning == (
         "warning: ArduPlane itself listens on 5501/udp and 5760, 5762, 5763/tcp, plus ten times "
-        f"{instance}, of every address of this machine: any program that reaches it can command "
-        "leader"
+        "its instance, of every address of this machine: any program that reaches it can command "
+        "leader, uav1"
     )
-
-
-def test_several_arduplanes_cause_one_warning(binary):
-    lines = []
-    both = [f"leader.autopilot={ardupilot()}", f"fleet.uav1.autopilot={ardupilot(1)}"]
-    two = set_duration(loads(SCENARIO, both), 0.1)
-    run(two, write=False, external=ExternalOptions(announce=lines.append))
-    assert [line.startswith("warning") for line in lines] == [False, False, True]
-    assert lines[-1].endswith("can command leader, uav1")
 
 
 def test_sitl_gyro_filter_is_named_before_flight(binary):

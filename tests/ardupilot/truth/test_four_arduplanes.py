@@ -6,13 +6,12 @@ import sys
 
 import numpy as np
 import pytest
-from cases import some
+from cases import ALL
 from places import ROOT
 
 WHOLE = os.environ.get("TESTBED_ARDUPLANE_WHOLE")
-# the first lap and a part of the second; make check-all flies the climbs and the circles too
-END_S = 1080.0 if WHOLE else 220.0
-PULSES_END_S = END_S if WHOLE else 160.0
+# a third of the first lap; make check-all flies all laps, the climbs and the circles too
+END_S = 1080.0 if WHOLE else 130.0
 
 
 @pytest.fixture(scope="module")
@@ -23,9 +22,11 @@ def compare():
     del sys.path[0]
 
 
-@pytest.fixture(scope="module", params=some(["tuned", "authors"], 1))
-def pair(request, compare):
+@pytest.fixture(scope="module", params=["tuned", "authors"] if ALL or WHOLE else ["tuned, pulses"])
+def pair(request, compare, pulse_pair):
     """Fly with virtual autopilots what four ArduPlanes flew; return both."""
+    if request.param == "tuned, pulses":
+        return pulse_pair
     real = compare.recorded(request.param, END_S)
     return compare.fly_virtual(request.param, real.time), real
 
@@ -33,7 +34,7 @@ def pair(request, compare):
 @pytest.fixture(scope="module")
 def pulse_pair(compare):
     """Fly `tuned` with the whole-µs pulses of the link; return both."""
-    real = compare.recorded("tuned", PULSES_END_S)
+    real = compare.recorded("tuned", END_S)
     return compare.fly_virtual("tuned", real.time, pulses=True), real
 
 
@@ -54,7 +55,7 @@ def test_attitudes_follow_four_arduplanes(compare, pair):
 def test_leader_with_pulses_flies_the_real_track(compare, pulse_pair):
     """Within 0.5 m RMS in the whole flight; measured: 0.07 m to 322.5 s, 0.06 m in all."""
     virtual, real = pulse_pair
-    assert real.time[-1] == pytest.approx(PULSES_END_S, abs=1.0)
+    assert real.time[-1] == pytest.approx(END_S, abs=1.0)
     assert compare.rms(virtual.leader - real.leader) < 0.5
 
 
@@ -77,7 +78,7 @@ def test_leader_flies_the_track_of_an_arduplane(compare, pair):
 )
 def test_flight_of_another_profile_is_found(compare, pulse_pair, test):
     with pytest.raises(AssertionError):
-        test(compare, (pulse_pair[0], compare.recorded("authors", PULSES_END_S)))
+        test(compare, (pulse_pair[0], compare.recorded("authors", END_S)))
 
 
 @pytest.mark.parametrize(
