@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 import tarfile
+import venv
 import zipfile
 from functools import cache
 from importlib.metadata import distribution, distributions, version
@@ -101,7 +102,7 @@ def test_pip_installs_what_uv_cannot(uv, tmp_path):
     lock.write_text(f"some-package==1.0 --hash=sha256:{digest}\n")
     wrong.write_text(f"some-package==1.0 --hash=sha256:{WHEEL}\n")
     into = tmp_path / "environment"
-    subprocess.run([sys.executable, "-m", "venv", "--without-pip", into], check=True)
+    venv.create(into, symlinks=True)
     (tmp_path / "Makefile").write_text(
         f"include {ROOT}/Makefile\ntry:\n\t$(call install,{into},$(LOCK))\n"
     )
@@ -118,7 +119,9 @@ def test_pip_installs_what_uv_cannot(uv, tmp_path):
             text=True,
         )
 
-    assert install(wrong).returncode and not list(into.glob("lib/*/site-packages/some_package*"))
+    if Path(uv).name == "uv":  # which refuses it, and then pip
+        assert install(wrong).returncode
+        assert not list(into.glob("lib/*/site-packages/some_package*"))
     done = install(lock)
     assert not done.returncode, done.stderr
     assert list(into.glob("lib/*/site-packages/some_package.py")) and not (into / ".cache").exists()
