@@ -59,7 +59,7 @@ def read_parameters(path):
 
 
 def plain(record):
-    """Return a record as attributes that are numbers and lists, which Python reads ten times faster.
+    """Return a record as attributes: numbers and lists, which Python reads ten times faster.
 
     An array of two axes is a dict of its pairs of indices.
     """

@@ -4,16 +4,25 @@ import os
 import re
 import subprocess
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from c_fmus import law_fmu, need_compiler
+from cases import in_full
 from commands import call_command, environment
+from fmi2_importer import Archive, Instance
 from forked import Forked
 from waiting import TIMEOUT_S
 
 import testbed
 from testbed.core.errors import FlightError, InputError
+from testbed.core.records import FbwaCommand
+from testbed.fmi.archive import Archive as ProductArchive
+from testbed.fmi.law_variables import match_variables
+from testbed.fmi.model_description import read_description
+from testbed.formation import fmu_step
+from testbed.formation.compiled_law import python_function
 from testbed.logs.read import read_log
 from testbed.plan.world import build
 from testbed.pool.flight_task import FlightTask, run_task
@@ -200,13 +209,12 @@ def test_run_keeps_the_fmu(laws):
     assert "runs the FMU two.fmu (SHA-256 " in done.stderr
 
 
-def test_new_fmu_law_builds_and_flies(tmp_path):
-    """`testbed new law --fmu`: its commands build it, and it flies as the kernel of `new law`."""
+@pytest.fixture(scope="module")
+def new_laws(tmp_path_factory):
+    """Folders of `testbed new law`: of an FMU, which its commands have built, and of a kernel."""
     need_compiler()
     # of one name, as test_new_law.py's, so that its kernel is compiled once
-    places = {each: tmp_path / each for each in ("fmu", "kernel")}
-    for each in places.values():
-        each.mkdir()
+    places = {each: tmp_path_factory.mktemp(each) for each in ("fmu", "kernel")}
     done = call_command("new", "law", "mine", "--fmu", cwd=places["fmu"], code=0, columns=200)
     lines = [each.strip() for each in done.stdout.splitlines()]
     commands = lines[2 : lines.index("cd -")]
@@ -215,7 +223,60 @@ def test_new_fmu_law_builds_and_flies(tmp_path):
     subprocess.run(["sh", "-ec", "\n".join(commands)], cwd=folder, check=True,
                    env=environment(80))  # fmt: skip
     call_command("new", "law", "mine", cwd=places["kernel"], code=0, columns=200)
-    laws = {each: load_scenario(places[each] / "mine/mine.yaml") for each in places}
+    return {each: place / "mine" for each, place in places.items()}
+
+
+def test_new_fmu_law_computes_as_the_kernel(new_laws, tmp_path):
+    """Its velocity and acceleration, by an importer of our own; also where the leader is lost."""
+    archive = Archive((new_laws["fmu"] / "mine.fmu").read_bytes(), tmp_path)
+    instance, outputs = Instance(archive).begin(), archive.outputs()
+    inputs = [each for each in archive.reals if each not in outputs]
+    kernel = find_kernel(new_laws["kernel"] / "mine.py")
+    random = np.random.default_rng(1)
+    for age_s in (0.0, 0.1, 0.9, 1.1, 5.0):
+        # own position and velocity; position, velocity and acceleration of the leader; the slot
+        vectors = random.normal(0.0, 15.0, (6, 3))
+        own = SimpleNamespace(position_ned=vectors[0], velocity_ned=vectors[1])
+        names = "position_ned", "velocity_ned", "acceleration_ned"
+        inbox = dict(zip(names, vectors[2:5, np.newaxis], strict=True))
+        inbox = SimpleNamespace(received_s=[7.0 - age_s], turn_rate=[0.2], **inbox)
+        config = SimpleNamespace(leader_timeout_s=1.0, offsets=[None, vectors[5]], agents=1)
+        expected = kernel(7.0, own, inbox, SimpleNamespace(), config, 0.7)
+        given = [*vectors[:2].flat, age_s, *vectors[2:5].flat, 0.2, *vectors[5], 1.0, 0.7]
+        instance.set(inputs, given)
+        instance.step(0.04)
+        np.testing.assert_allclose(instance.get(outputs), expected, atol=1e-9)
+
+
+def find_kernel(file):
+    """Return the law of a file as Python, with the desired velocity and acceleration as result."""
+    names = {}
+    exec(compile(file.read_text(), str(file), "exec"), names)
+    names["length"] = np.linalg.norm
+    still = np.zeros(3)
+    names["command_from_velocity"] = lambda config, own, v, a=still: [*v, *a]
+    return python_function(names[file.stem])
+
+
+def test_outputs_are_the_commands_of_their_kind(new_laws, monkeypatch):
+    """As Python; the law of `testbed new law` is of a kind that no other flight here has."""
+    model = read_description(ProductArchive(new_laws["fmu"] / "mine.fmu"))
+    assert match_variables(model, {}, {"closing_per_s": 0.3}, 4, 0.04).kind == "velocity"
+    found = np.arange(1.0, 9.0)
+    monkeypatch.setattr(fmu_step, "step_fmu", lambda *_: found)
+    monkeypatch.setattr(fmu_step, "command_from_velocity", lambda config, own, *given: given)
+    commands = {kind: law(*[None] * 6) for kind, law in fmu_step.LAWS.items()}
+    assert commands["fly-by-wire"] == FbwaCommand(pitch=1.0, roll=2.0, throttle=3.0)
+    np.testing.assert_array_equal(commands["velocity"], [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
+    unicycle = commands["unicycle"]
+    assert (unicycle.speed, unicycle.speed_desired, unicycle.limiter_flags) == (1.0, 5.0, 0)
+    np.testing.assert_array_equal(unicycle.omega, [2.0, 3.0, 4.0])
+    np.testing.assert_array_equal(unicycle.direction, [6.0, 7.0, 8.0])
+
+
+@in_full
+def test_new_fmu_law_flies_as_the_kernel(new_laws):
+    laws = {each: load_scenario(place / "mine.yaml") for each, place in new_laws.items()}
     assert [Path(each.controller.law).suffix for each in laws.values()] == [".fmu", ".py:mine"]
     errors = [
         testbed.run(each, duration_s=10.0, write=False).metrics["max_error_m"]
