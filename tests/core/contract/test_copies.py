@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from slow_control import RATES
 
 import testbed
 import testbed.law
@@ -179,7 +180,7 @@ def make_objects(folder):
     hold.reset(seed=1)
     n = np.zeros((3, 3))
     law = testbed.law
-    scan = testbed.GainScan("hold-slot")  # of one follower
+    scan = testbed.GainScan("hold-slot", RATES)  # of one follower
     return {
         "Aircraft": aircraft,
         "Batch": batch,

@@ -399,7 +399,6 @@ def test_full_errors_have_no_traceback(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "redirection", "code", "error"),
     [
-        (("schema",), ">&-", 0, ""),
         (("list",), ">&- 2>&- <&-", 0, ""),
         ((*TRIM, "--json", "-"), ">&-", BAD_INPUT, "error: --json -: standard output is closed\n"),
     ],

@@ -28,7 +28,7 @@ from testbed.scenario import load_scenario, set_duration, set_seed
 from testbed.scenario.arguments import with_changes
 from testbed.studies.sweep import sweep
 
-CALLS = int(os.environ.get("TESTBED_ARGUMENTS", "150"))
+CALLS = int(os.environ.get("TESTBED_ARGUMENTS", "100"))
 SHORT = set_duration(load_scenario("simulation-3", ["fleet.uav1.commanded_by=external"]), 20)
 STILL = np.zeros(3, np.float32)
 LOOP: list = []

@@ -124,7 +124,7 @@ PAGES_TO_RUN = [
     )
     for page in PAGES
     if any(snippet.page == page for snippet in SHELL + PYTHON)
-    if page not in DRAWN or page in some(DRAWN, 2)
+    if page not in DRAWN or page in some(DRAWN, 1)
     if page != "docs/margins.md" or ALL  # its commands are those of tests of linear systems
 ]
 TOUR = ("## Simulation 3, key by key", "## Extend a scenario")  # a section and the next one
