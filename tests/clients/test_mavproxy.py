@@ -18,11 +18,11 @@ KEY = "correct-horse-battery-staple"
 DO_SET_MODE, AUTO, LOITER = 176, 10, 12
 MISSION = """QGC WPL 110
 0 1 0 16 0 0 0 0 38.0 0.0 300 1
-1 0 3 16 0 0 0 0 38.0081084 0.00364332 100 1
+1 0 3 16 0 0 0 0 38.0036037 0.00364332 100 1
 2 0 3 16 0 0 0 0 38.002 0.0045 120 1
 3 0 3 17 0 0 100 0 38.002 0.0 110 1
 """
-NORTH_M, EAST_M = 900.0, 320.0  # of item 1, away from the scenario's mission
+NORTH_M, EAST_M = 400.0, 320.0  # of item 1, away from the scenario's mission
 RADIUS_M = 90.0  # waypoint radius of the scenario
 
 

@@ -117,7 +117,7 @@ def binary(*flags):
         library = Path(folder) / "law.so"
         warnings = "-Wall", "-Wextra", "-Werror"
         subprocess.run(
-            ["cc", "-O2", "-ffp-contract=off", "-fPIC", "-shared", *warnings, *flags]
+            ["cc", "-O0", "-ffp-contract=off", "-fPIC", "-shared", *warnings, *flags]
             + ["-o", str(library), str(SOURCE), "-lm"],
             check=True,
         )

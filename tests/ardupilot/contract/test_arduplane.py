@@ -56,7 +56,7 @@ def fingerprint(frames):
 
 def test_mixed_flight_repeats_to_the_bit(binary, monkeypatch):
     """Also if an answer to ArduPlane is lost, which asks for it again."""
-    mixed = set_duration(load_scenario("simulation-3", [f"leader.autopilot={ardupilot()}"]), 2.0)
+    mixed = make_scenario(1.0)
     first = fly(mixed)
     monkeypatch.setenv("ARDUPLANE_STAND_IN", f"resend@{SOON}")
     assert fingerprint(first) == fingerprint(fly(mixed))
@@ -127,9 +127,9 @@ def rms(frames, begin, end):
 
 
 def test_32_outputs_and_overrides_fly_the_same(binary, monkeypatch):
-    plain = fly(make_scenario(2.0))[-1].truth
+    plain = fly(make_scenario(1.0))[-1].truth
     monkeypatch.setenv("ARDUPLANE_STAND_IN", "outputs32 ignores-rc")
-    frames = fly(make_scenario(2.0))
+    frames = fly(make_scenario(1.0))
     events = [each.text for frame in frames for each in frame.events]
     assert any("RC_CHANNELS_OVERRIDE" in each for each in events)
     # overrides arrive an autopilot period or two later, at 22 m/s

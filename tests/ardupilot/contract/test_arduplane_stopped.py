@@ -8,6 +8,7 @@ from contextlib import contextmanager, suppress
 
 import pytest
 from arduplanes import SOON, binary, make_scenario, running
+from cases import in_full
 from process_time import ProcessTime
 from waiting import TIMEOUT_S, until
 
@@ -65,7 +66,7 @@ def printed(folders, words):
     ("misbehaviour", "words", "number"),
     [
         ("never-listens", "frozen", signal.SIGINT),
-        ("hang@60", "frozen", signal.SIGTERM),
+        pytest.param("hang@60", "frozen", signal.SIGTERM, marks=in_full),
         (f"hang@{SOON}", "frozen", signal.SIGINT),
         ("never-arms", "JSON received", signal.SIGTERM),
     ],

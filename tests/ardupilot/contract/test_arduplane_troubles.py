@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from arduplanes import FIRST, SCENARIO, SOON, binary, error_of, fly_level, make_scenario
+from cases import in_full
 from commands import call_command
 from waiting import TIMEOUT_S
 
@@ -45,13 +46,13 @@ class FrozenClock:
 @pytest.mark.parametrize(
     ("misbehaviour", "at", "text"),
     [
-        ("exit", BOOT, EXIT),
+        pytest.param("exit", BOOT, EXIT, marks=in_full),
         ("exit", SOON, EXIT),
         ("crash", SOON, ("was ended by signal 11", "printed:\n    Waiting for connection ....\n")),
         ("wrong-magic", 0, ("magic 12345, where ArduPlane's JSON link has 18458 or 29569",)),
         ("garbage", SOON, ("7 bytes are not a packet",)),
         ("restart", SOON, (f"has restarted: packet 0 came after packet {SOON - 1}",)),
-        ("hang", BOOT, SILENT),
+        pytest.param("hang", BOOT, SILENT, marks=in_full),
         ("hang", SOON, SILENT),
     ],
 )
