@@ -132,8 +132,11 @@ class CompiledAircraft:
             Status of each row (M,): 0, or why it was not advanced to the end, see `model_limits`.
         """
         count = len(state)
-        held = np.zeros((count, 4)) if controls is None else controls
-        air = np.zeros((count, 7)) if wind is None else wind
+        # arrays of another type or order in memory would be compiled for
+        held, air = (
+            np.zeros((count, size)) if given is None else np.ascontiguousarray(given, dtype=float)
+            for given, size in ((controls, 4), (wind, 7))
+        )
         changed, status = np.zeros(2, dtype=bool), np.zeros(count, dtype=np.uint8)
         changed[CONTROLS_CHANGED], changed[WIND_CHANGED] = controls is not None, wind is not None
         which = np.arange(count, dtype=np.intp)

@@ -30,12 +30,13 @@ def test_each_row_has_its_controls_and_wind():
     aircraft = find_engine(FOLDER, RATE_HZ).compiled
     rows = np.tile(place_row(FOLDER, START, ORIGIN, RATE_HZ).row, (3, 1))
     names = [f"fcs/{each}-cmd-norm" for each in ("aileron", "elevator", "rudder", "throttle")]
-    controls = np.stack([rows[:, aircraft.columns[name]] for name in names], axis=1)
+    controls = rows[:, [aircraft.columns[name] for name in names]]  # not in C order
     wind = np.zeros((3, 7))
     controls[1, 0] += 0.1
     wind[2, 2] = -10.0  # ft/s, a gust upwards
     status = aircraft.advance(rows, 1.0 / RATE_HZ, 40, controls=controls, wind=wind)
     assert status.tolist() == [0, 0, 0]
+    assert len(aircraft.run_rows.signatures) == 1  # nothing was compiled for another order
     roll_rate = rows[:, aircraft.columns["velocities/pi-rad_sec"]]
     assert roll_rate[1] > 0.05 > abs(roll_rate[0])
     alpha = rows[:, aircraft.columns["aero/alpha-rad"]]
