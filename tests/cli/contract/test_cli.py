@@ -15,7 +15,7 @@ from unittest.mock import Mock
 import golden_scenarios
 import pytest
 import typer
-from cases import some
+from cases import in_full, some
 from commands import call_command, environment, refuse_all, run_command
 from forked import Forked
 from fresh import run_fresh
@@ -30,7 +30,13 @@ from testbed.cli.exit_codes import ExitCode
 from testbed.cli.main import app
 from testbed.cli.scenario import FIRST, FIRST_STUDIES, GROUPS, STUDIES, TUNES
 from testbed.logs.file_record import RECORD_NAME
-from testbed.scenario import list_laws, list_scenarios, list_studies, list_tunings
+from testbed.scenario import (
+    list_laws,
+    list_scenarios,
+    list_studies,
+    list_tunings,
+    load_scenario,
+)
 
 ENV = environment(120)
 COMMANDS = tuple(typer.main.get_command(app).commands)
@@ -122,14 +128,27 @@ def test_list_has_a_dozen_scenarios(tmp_path):
     assert said in lines
 
 
-def test_list_all_has_every_name(tmp_path):
-    lines = cli("list", "--all", cwd=tmp_path, columns=80).stdout.splitlines()
+def test_list_all_has_every_name(tmp_path, monkeypatch):
+    """As does its document. Some files are read: that all can be is claimed elsewhere."""
+    first, *others = (load_scenario(each) for each in some(list_scenarios(), 8))
+    read = {each.scenario.name: each for each in others}
+    studies = some(list_studies(), 8)
+    monkeypatch.setattr("testbed.scenario.load_scenario", lambda name: read.get(name, first))
+    monkeypatch.setattr("testbed.scenario.list_studies", lambda: studies)
+    words = "list", "--all", "--json", "names.json"
+    lines = cli(*words, cwd=tmp_path, columns=80).stdout.splitlines()
+    document = json.loads((tmp_path / "names.json").read_text())
+    for key, names in (("scenarios", list_scenarios()), ("studies", studies)):
+        assert [each["name"] for each in document[key]] == list(names)
+    numbers = {each["name"]: each["aircraft"] for each in document["scenarios"]}
+    assert all(numbers[name] == len(each.aircraft_names) for name, each in read.items())
+    assert {"name": "rascal110"} in document["aircraft"]
     first = lines.index("start here")
     assert lines[first + 1].startswith("simulation-3 ")
     assert all(line[:1].islower() for line in lines[first + 1 : lines.index("", first)])
     assert max(map(len, lines)) <= 80
     assert not [line for line in lines if line.startswith(" ")]  # each in one line
-    names = [*list_scenarios(), *list_studies(), *list_tunings(), *LAWS]
+    names = [*list_scenarios(), *studies, *list_tunings(), *LAWS]
     assert sorted(listed_names(lines)) == sorted(names)
     assert "rascal110" in lines
     for words in (("packet-loss-30",), ("--runs",)):
@@ -352,17 +371,22 @@ def test_interrupt_made_an_error_by_a_library_is_one(monkeypatch, tmp_path):
     assert call_command("list", cwd=tmp_path, code=130, columns=200).stderr == ""
 
 
-@pytest.mark.parametrize("threads", ["0", "", "-1", "many"])
-def test_wrong_number_of_threads_is_not_used(tmp_path, monkeypatch, threads):
+def test_wrong_number_of_threads_is_not_used(monkeypatch):
     """As a job makes it of a variable that is not set; numba cannot be imported with it."""
-    monkeypatch.setenv("NUMBA_NUM_THREADS", threads)
-    entry._drop_wrong_settings()
-    assert "NUMBA_NUM_THREADS" not in os.environ
-    monkeypatch.setenv("NUMBA_NUM_THREADS", "3")
-    entry._drop_wrong_settings()
-    assert os.environ["NUMBA_NUM_THREADS"] == "3"
+    used = []
+
+    def command_line():
+        used.append(os.environ.get("NUMBA_NUM_THREADS"))
+
+    monkeypatch.setattr("testbed.cli.main.main", command_line)
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "1")
+    for threads in ("0", "", "-1", "many", "3"):
+        monkeypatch.setenv("NUMBA_NUM_THREADS", threads)
+        entry.main()
+    assert used == [None, None, None, None, "3"]
 
 
+@in_full  # of which the setting is dropped before the command line is loaded, as above
 def test_job_without_threads_validates(tmp_path, monkeypatch):
     monkeypatch.setenv("NUMBA_NUM_THREADS", "0")
     run_command("validate", "simulation-1", cwd=tmp_path, code=0, columns=80)

@@ -5,18 +5,36 @@ import json
 import subprocess
 import sys
 
+import pytest
 import typer
 from commands import environment
 from fresh import run_fresh
 from places import ROOT
 
-import testbed
 from testbed.cli.exit_codes import EXIT_CODES_HELP
 from testbed.cli.main import app, help_text
-from testbed.scenario import load_scenario, set_duration
+from testbed.pool.flight_code import FLIGHT_PACKAGES
 from testbed.scenario.fields import Section
 
 ENV = environment(120)
+UNUSED = {
+    "scipy.integrate",
+    "scipy.optimize",
+    "scipy.special",
+    "matplotlib",
+    "pyarrow",
+    "pandas",
+    "rerun",
+    "joblib",
+    "cma",
+    "typer.rich_utils",
+    "testbed.mavlink.server",
+    "testbed.mavlink.codec",
+    "testbed.ardupilot.ardupilot_sitl",
+    "testbed.reports",
+    "testbed.studies",
+    "testbed.views",
+}
 
 
 def loaded_by(code, folder):
@@ -33,35 +51,39 @@ def loaded_by(code, folder):
     return set(json.loads(done.stderr.splitlines()[-1]))
 
 
-def test_run_loads_only_the_libraries_it_uses(tmp_path):
-    code = (
-        "from testbed.cli.main import app;"
-        "app(['run', 'simulation-3', '--duration', '0.2', '-q'], standalone_mode=False)"
-    )
-    # fill the cache of compiled code
-    testbed.run(set_duration(load_scenario("simulation-3"), 0.2), out=tmp_path / "run")
-    loaded = loaded_by(code, tmp_path)
+# Names of the modules that a flight has loaded, and after it the start of a study.
+FLIGHT = """
+import json, sys
+for parent, _, name in (each.rpartition(".") for each in {unused}):  # what `fresh` has loaded
+    sys.modules.pop(f"{{parent}}.{{name}}".lstrip("."), None)
+    vars(sys.modules.get(parent, sys)).pop(name, None)
+from testbed.cli.main import app
+app(["run", "simulation-3", "--duration", "0.2", "-q"], standalone_mode=False)
+loaded = list(sys.modules)
+import testbed.studies.sweep
+print(json.dumps([loaded, list(sys.modules)]))
+"""
+
+
+@pytest.fixture(scope="module")
+def after_flight(tmp_path_factory):
+    code, folder = FLIGHT.format(unused=sorted(UNUSED)), tmp_path_factory.mktemp("flight")
+    code, output, errors = run_fresh(code, folder=folder, paths=[ROOT], env=ENV)
+    assert code == 0, errors
+    return [set(each) for each in json.loads(output)]
+
+
+def test_run_loads_only_the_libraries_it_uses(after_flight):
+    loaded, _ = after_flight
     assert {"testbed.flight.loop", "numba", "jsbsim", "foxglove"} <= loaded
-    unused = {
-        "scipy.integrate",
-        "scipy.optimize",
-        "scipy.special",
-        "matplotlib",
-        "pyarrow",
-        "pandas",
-        "rerun",
-        "joblib",
-        "cma",
-        "typer.rich_utils",
-        "testbed.mavlink.server",
-        "testbed.mavlink.codec",
-        "testbed.ardupilot.ardupilot_sitl",
-        "testbed.reports",
-        "testbed.studies",
-        "testbed.views",
-    }
     assert not any(name.startswith("pymavlink") for name in loaded)
-    assert not unused & loaded
+    assert not UNUSED & loaded
+
+
+def test_flight_packages_are_all_that_are_imported(after_flight):
+    """A resumed study compares the code of every package that its flights import."""
+    names = {each.split(".")[1] for each in after_flight[1] if each.startswith("testbed.")}
+    assert names - {"cli"} == set(FLIGHT_PACKAGES)
 
 
 def test_margins_load_no_signal_processing(tmp_path):
@@ -70,13 +92,21 @@ def test_margins_load_no_signal_processing(tmp_path):
     assert run_fresh(code, folder=tmp_path, paths=[ROOT], env=ENV)[0] == 0
 
 
+LIST = """
+import sys
+sys.modules.update(dict.fromkeys(("numba", "jsbsim", "pyarrow", "matplotlib")))  # not installed
+import testbed.scenario
+from testbed.cli.main import app
+testbed.scenario.list_scenarios = lambda: ("simulation-3",)  # whatever there is
+for words in (["list"], ["list", "--json"]):
+    app(words, standalone_mode=False)
+"""
+
+
 def test_list_loads_no_compiler(tmp_path):
-    code = "from testbed.cli.main import app"
-    for words in (["list"], ["list", "--json"]):
-        code += f"; app({words}, standalone_mode=False)"
-    loaded = loaded_by(code, tmp_path)
-    assert "testbed.scenario" in loaded
-    assert not {"numba", "jsbsim", "pyarrow", "matplotlib"} & loaded
+    code, output, errors = run_fresh(LIST, folder=tmp_path, paths=[ROOT], env=ENV)
+    assert code == 0, errors
+    assert output.count("simulation-3") >= 2
 
 
 def test_command_options_are_built_when_called():

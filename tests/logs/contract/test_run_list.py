@@ -18,7 +18,6 @@ from testbed.logs.file_record import RECORD_NAME, foreign_files, record_output
 from testbed.logs.run_directory import LOG_NAME, METRICS_NAME, SCENARIO_NAME
 from testbed.logs.run_list import CUT_SHORT, RUNNING, delete_runs, list_runs, select_runs
 from testbed.metrics.document import to_json
-from testbed.scenario import list_scenarios, list_studies
 
 
 @pytest.fixture
@@ -255,14 +254,6 @@ def test_list_runs_as_table_and_json(logs, tmp_path):
     runs = json.loads(text)["runs"]
     assert [each["scenario"] for each in runs] == ["far", *["near"] * 4]
     assert runs[0]["size_bytes"] == list_runs(logs)[0].size
-
-
-def test_list_json_has_all_names(tmp_path):
-    text = call_command("list", "--json", cwd=tmp_path, code=0, columns=120).stdout
-    document = json.loads(text)
-    for key, names in (("scenarios", list_scenarios()), ("studies", list_studies())):
-        assert [each["name"] for each in document[key]] == list(names)
-    assert {"name": "rascal110"} in document["aircraft"]
 
 
 def test_list_json_without_a_file_is_standard_output(tmp_path):

@@ -31,6 +31,19 @@ from testbed.studies.table import find_output, read_rows, read_table
 WHOLE = os.environ.get("TESTBED_STUDIES")
 LOST, BAD_INPUT, INTERRUPTED = 1, 2, 130
 ERROR = "windows.approach.mean_rms_m"
+FLOWN = {}  # results of the flights of this module
+
+
+def fly_once(task):
+    """Fly, or return the result of the same flight: that it repeats is claimed below."""
+    key = task.number, task.scenario.model_dump_json()
+    if key not in FLOWN:
+        result = small_study.run_task(small_study.as_by_a_process(task))
+        FLOWN[key] = small_study.as_by_a_process(result)
+    return FLOWN[key]
+
+
+TOLD, SEEN, FINISHED = [], [], []  # by the sweep of the whole study
 
 
 @pytest.fixture(scope="module")
@@ -38,10 +51,16 @@ def folder(tmp_path_factory):
     """A folder with the small study, and its result without interruptions."""
     folder = tmp_path_factory.mktemp("study")
     small_study.write(folder)
+    out = folder / "whole.parquet"
+
+    def progress(done, total):
+        SEEN.append((done, len(read_table(out).columns["run"])))
+
     with pytest.MonkeyPatch.context() as patch:
-        small_study.use(patch, small_study.InThisProcess())
+        patch.setattr("testbed.studies.sweep.MAX_WRITE_SHARE", 1e9)  # no limit
+        small_study.use(patch, small_study.InThisProcess(FINISHED, fly=fly_once))
         patch.chdir(folder)
-        sweep(folder / "small.yaml", folder / "whole.parquet", refresh_s=0.0)
+        sweep(folder / "small.yaml", out, refresh_s=0.0, progress=progress, report=TOLD.append)
     return folder
 
 
@@ -49,7 +68,18 @@ def folder(tmp_path_factory):
 def workers(monkeypatch, folder):
     """Workers in this process, and the folder as current directory."""
     monkeypatch.chdir(folder)
-    return small_study.use(monkeypatch, small_study.InThisProcess())
+    return small_study.use(monkeypatch, small_study.InThisProcess(fly=fly_once))
+
+
+@pytest.fixture(scope="module")
+def begun(folder, tmp_path_factory):
+    """The result file of a study that was interrupted after a run."""
+    out = tmp_path_factory.mktemp("begun") / "study.parquet"
+    with pytest.MonkeyPatch.context() as patch:
+        small_study.use(patch, small_study.InThisProcess(fly=fly_once))
+        patch.chdir(folder)
+        interrupt(out, 1)
+    return out
 
 
 def same(folder, path):
@@ -128,67 +158,44 @@ def interrupt(out, after, **options):
 
 
 def test_sweep_interrupted_is_resumed_to_the_bit(folder, workers, tmp_path):
-    """The file of the finished runs is readable; a cut line of the journal is dropped."""
+    """Before the first run, between the runs of a point that is flown once, and after a point.
+
+    The file of the finished runs is readable; a cut line of the journal is dropped.
+    """
     out = tmp_path / "study.parquet"
-    interrupt(out, 3)
+    interrupt(out, 0)
+    assert len(read_table(out).columns["run"]) == 0
+    interrupt(out, 1, resume=True)
+    assert read_table(out).columns["run"].tolist() == [0] == workers.finished
+    interrupt(out, 3, resume=True)
     part = read_table(out)
     assert not part.complete and part.columns["run"].tolist() == [0, 1, 2]
     with (tmp_path / "study.journal").open("ab") as journal:
         journal.write(b'{"run":3,"outcome":"flo')  # as after a power failure
     with pytest.raises(InputError, match="write --resume to continue it"):
         sweep("small.yaml", out)
-    workers.finished.clear()
     result = sweep("small.yaml", out, resume=True)
     assert result.new_runs == small_study.RUNS - 3
-    assert workers.finished == [3, 4, 6, 7]  # without loss a point is flown once
+    assert workers.finished == [0, 1, 2, 3, 4, 6, 7]  # without loss a point is flown once
     assert same(folder, out)
     assert [path.name for path in tmp_path.iterdir()] == ["study.parquet"]
     assert sweep("small.yaml", out, resume=True).new_runs == 0
 
 
-def test_sweep_interrupted_before_the_first_run(workers, tmp_path):
-    out = tmp_path / "study.parquet"
-    interrupt(out, 0)
-    assert len(read_table(out).columns["run"]) == 0
-    interrupt(out, 1, resume=True)
-    assert read_table(out).columns["run"].tolist() == [0]
+def test_sweep_file_is_readable_during_the_study(folder):
+    assert SEEN == [(0, 0), *((done, done - 1) for done in range(1, small_study.RUNS + 1))]
 
 
-def test_sweep_file_is_readable_during_the_study(workers, tmp_path, monkeypatch):
-    monkeypatch.setattr("testbed.studies.sweep.MAX_WRITE_SHARE", 1e9)  # no limit
-    out = tmp_path / "study.parquet"
-    seen = []
-
-    def progress(done, total):
-        seen.append((done, len(read_table(out).columns["run"])))
-
-    sweep("small.yaml", out, refresh_s=0.0, progress=progress)
-    assert seen == [(0, 0), *((done, done - 1) for done in range(1, small_study.RUNS + 1))]
-
-
-def test_sweep_flies_a_point_no_seed_changes_once(folder, workers, tmp_path, monkeypatch):
+def test_sweep_flies_a_point_no_seed_changes_once(folder, tmp_path, monkeypatch):
     """The file is that of a study that flies every seed, as a noisy point is flown."""
+    assert FINISHED == [0, 2, 3, 4, 6, 7]
+    assert TOLD[-1] == "no seed changes 2 points: 2 runs with the numbers of a flown one"
+    monkeypatch.chdir(folder)
+    every = small_study.use(monkeypatch, small_study.InThisProcess(every_seed=True))
     lines = []
-    sweep("small.yaml", tmp_path / "once.parquet", report=lines.append)
-    assert workers.finished == [0, 2, 3, 4, 6, 7]
-    assert lines[-1] == "no seed changes 2 points: 2 runs with the numbers of a flown one"
-    workers.finished.clear()
-    every = small_study.InThisProcess(every_seed=True)
-    monkeypatch.setattr("testbed.pool.flight_pool._open_workers", lambda *_: every)
     sweep("small.yaml", tmp_path / "every.parquet", report=lines.append)
     assert every.finished == list(range(small_study.RUNS)) and "no seed" not in lines[-1]
-    for name in ("once", "every"):
-        assert same(folder, tmp_path / f"{name}.parquet")
-
-
-def test_sweep_interrupted_between_copies_is_resumed(folder, workers, tmp_path):
-    """After the flight of a point, before the row of its other seed."""
-    out = tmp_path / "study.parquet"
-    interrupt(out, 1)
-    assert workers.finished == [0]
-    assert sweep("small.yaml", out, resume=True).new_runs == small_study.RUNS - 1
-    assert workers.finished == [0, 1, 2, 3, 4, 6, 7]
-    assert same(folder, out)
+    assert same(folder, tmp_path / "every.parquet")
 
 
 @pytest.mark.parametrize(
@@ -206,50 +213,31 @@ def test_sweep_interrupted_between_copies_is_resumed(folder, workers, tmp_path):
     ],
     ids=["levels", "seeds", "scenario"],
 )
-def test_resume_changed_study_is_refused(workers, tmp_path, change, message):
+def test_resume_changed_study_is_refused(begun, workers, tmp_path, change, message):
     """The journal stays as it is."""
-    out = tmp_path / "study.parquet"
-    interrupt(out, 1)
-    before = (tmp_path / "study.journal").read_bytes()
+    journal = begun.with_suffix(".journal")
+    before = journal.read_bytes()
     (tmp_path / "mine.yaml").write_text("extends: ideal-figure-eight\n")
     other = small_study.write(tmp_path, change(small_study.STUDY))
     with pytest.raises(InputError, match=message):
-        sweep(other, out, resume=True)
-    assert (tmp_path / "study.journal").read_bytes() == before
+        sweep(other, begun, resume=True)
+    assert journal.read_bytes() == before
 
 
-def test_resume_changed_versions_are_refused(workers, tmp_path, monkeypatch):
-    out = tmp_path / "study.parquet"
-    interrupt(out, 1)
+def test_resume_changed_versions_are_refused(begun, workers, tmp_path, monkeypatch):
     monkeypatch.setattr("testbed.studies.sweep.versions", lambda: {"jsbsim": "0.9"})
     with pytest.raises(InputError, match=r"the versions changed.*jsbsim from .* to 0.9"):
-        sweep("small.yaml", out, resume=True)
+        sweep("small.yaml", begun, resume=True)
     with pytest.raises(InputError, match="by a worker of other versions: .*jsbsim"):
         sweep("small.yaml", tmp_path / "new")
 
 
-def test_resume_changed_code_is_refused(workers, tmp_path, monkeypatch):
+def test_resume_changed_code_is_refused(folder, begun, workers, monkeypatch):
     """Whether the study was interrupted or complete: its runs were flown by other code."""
-    part, whole = tmp_path / "part.parquet", tmp_path / "whole.parquet"
-    interrupt(part, 1)
-    sweep("small.yaml", whole)
     monkeypatch.setattr("testbed.pool.flight_code.source_digest", lambda *_: "0123456789abcdef")
-    for out in (part, whole):
+    for out in (begun, folder / "whole.parquet"):
         with pytest.raises(InputError, match=r"the code changed.*testbed from \w+ to 0123456789ab"):
             sweep("small.yaml", out, resume=True)
-
-
-def test_flight_packages_are_all_that_are_imported():
-    """A resumed study compares the code of every package that its flights import."""
-    program = (
-        "import sys, testbed, testbed.studies.sweep, testbed.pool.flight_code as code\n"
-        "scenario = testbed.scenario.load_scenario('ideal-figure-eight')\n"
-        "testbed.run(testbed.scenario.set_duration(scenario, 1.0), write=False)\n"
-        "names = {each.split('.')[1] for each in sys.modules if each.startswith('testbed.')}\n"
-        "print(sorted(names ^ set(code.FLIGHT_PACKAGES)))"
-    )
-    done = subprocess.run((sys.executable, "-c", program), capture_output=True, check=True)
-    assert done.stdout.decode().strip() == "[]", done.stdout
 
 
 def test_sweep_journal_in_use_is_refused(workers, tmp_path):
