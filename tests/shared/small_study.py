@@ -67,6 +67,22 @@ class InThisProcess:
         pass
 
 
+@dataclass
+class FlownOnce(InThisProcess):
+    """Workers that fly a scenario once: that it repeats to the bit is claimed by `test_sweep`."""
+
+    results: dict[tuple[int, str], FlightResult] = field(default_factory=dict)
+
+    def __post_init__(self):
+        self.fly = self._fly_once
+
+    def _fly_once(self, task):
+        key = task.number, task.scenario.model_dump_json()
+        if key not in self.results:
+            self.results[key] = as_by_a_process(run_task(as_by_a_process(task)))
+        return self.results[key]
+
+
 def in_this_process():
     """Fly what a command flies in this process until the block ends: workers start in seconds."""
     return patch("testbed.pool.flight_pool._open_workers", lambda *_: InThisProcess())

@@ -262,45 +262,48 @@ def folder(tmp_path_factory, read_files):
     shutil.copy(scenarios / "drag_and_propeller.py", folder / "speed.py")
     for name in ("gentle.py", "agents.py"):
         shutil.copy(scenarios / "gentle_functions.py", folder / name)
-    with pytest.MonkeyPatch.context() as patch, small_study.in_this_process():
+
+    def keep_part(done, total):  # as if the study ended here
+        if done == 3:
+            for suffix in (".parquet", ".journal"):
+                shutil.copy(folder / f"whole{suffix}", folder / f"part{suffix}")
+
+    with pytest.MonkeyPatch.context() as patch:
+        small_study.use(patch, small_study.FlownOnce())
         patch.setattr(sys, "path", list(sys.path))
         with opened() as found:
-            sweep(folder / "study.yaml", folder / "whole.parquet")
+            sweep(folder / "study.yaml", folder / "whole.parquet", progress=keep_part)
         read_files |= found
-        with pytest.raises(KeyboardInterrupt):
-            sweep(folder / "study.yaml", folder / "part.parquet", progress=stop_after(3))
         yield folder
 
 
-def stop_after(runs):
-    def progress(done, total):
-        if done == runs:
-            raise KeyboardInterrupt
-
-    return progress
+def referents_of(folder):
+    """Return what the study's scenarios name."""
+    return check_plan(Plan(load_study(folder / "study.yaml"))).referents
 
 
-def named_files(folder):
-    """Return the files that the study's scenarios name, by name."""
-    return referenced_files(check_plan(Plan(load_study(folder / "study.yaml"))).referents)
+@pytest.fixture(scope="module")
+def referents(folder):
+    return referents_of(folder)
 
 
-def test_walk_finds_all_files_that_change_numbers(folder):
+def test_walk_finds_all_files_that_change_numbers(folder, referents):
     """Found independently: all files of the folder, all of which have a part in the study."""
     files = {path for path in folder.rglob("*") if path.is_file() and "parquet" not in path.name}
     files = {path for path in files if not {"__pycache__", "part.journal"} & set(path.parts)}
     expected = {path.relative_to(folder).as_posix() for path in files} - NOT_NAMED - OF_SCENARIOS
-    found = {path.relative_to(folder).as_posix() for path in named_files(folder).values()}
+    found = {path.relative_to(folder).as_posix() for path in referenced_files(referents).values()}
     assert found == expected
     assert len(found) > 30
 
 
-def test_study_reads_no_file_beyond_the_walk(folder, read_files):
+def test_study_reads_no_file_beyond_the_walk(folder, referents, read_files):
     """Flights, their checks and all that is imported for them."""
     inside = {path for path in map(Path, read_files) if path.is_relative_to(folder)}
     read = {path.relative_to(folder).as_posix() for path in inside}
-    found = {path.relative_to(folder).as_posix() for path in named_files(folder).values()}
-    others = {each for each in read if each.startswith((".", "whole")) or "__pycache__" in each}
+    found = {path.relative_to(folder).as_posix() for path in referenced_files(referents).values()}
+    results = (".", "whole", "part")
+    others = {each for each in read if each.startswith(results) or "__pycache__" in each}
     assert read - found - others == OF_SCENARIOS | {"study.yaml"}
     assert {"measured", "wind.csv", "lib/parts_of_law/angle.py", "lib/loaded_by_law.py"} <= read
 
@@ -317,13 +320,12 @@ def test_each_kind_of_reference_is_in_the_study(folder):
 RESUMED = ("more/delays.txt", "measured", "tunes/mine.txt", "below.yaml", "lib/deep_of_law.py")
 
 
-def test_edit_of_any_named_file_refuses_a_resume(folder):
+def test_edit_of_any_named_file_refuses_a_resume(folder, referents):
     """A byte more in any of them is enough. Without one the study is resumed to the bit.
 
     That all of them are found is the claim of the test of the walk.
     """
     study, part = folder / "study.yaml", folder / "part.parquet"
-    referents = check_plan(Plan(load_study(study))).referents
     before = file_digests(referents)
     resumed = some(RESUMED, 1)
     whole = [name for name in before if any(name.endswith(f"/{each}") for each in resumed)]
@@ -426,7 +428,7 @@ def test_files_of_all_levels_are_found(tmp_path, monkeypatch, design):
     keys = f"network.delay_s: [0, 0.1], network.jitter.file: [{', '.join(names[1:])}]"
     settings = f"{{schema: 1, name: s, scenario: jittered.yaml, seeds: 1, {design[1:]}"
     (tmp_path / "study.yaml").write_text(f"study: {settings}\nvary: {{{keys}}}\n")
-    found = {path.name for path in named_files(tmp_path).values()}
+    found = {path.name for path in referenced_files(referents_of(tmp_path)).values()}
     assert set(names) <= found
 
 

@@ -31,19 +31,8 @@ from testbed.studies.table import find_output, read_rows, read_table
 WHOLE = os.environ.get("TESTBED_STUDIES")
 LOST, BAD_INPUT, INTERRUPTED = 1, 2, 130
 ERROR = "windows.approach.mean_rms_m"
-FLOWN = {}  # results of the flights of this module
-
-
-def fly_once(task):
-    """Fly, or return the result of the same flight: that it repeats is claimed below."""
-    key = task.number, task.scenario.model_dump_json()
-    if key not in FLOWN:
-        result = small_study.run_task(small_study.as_by_a_process(task))
-        FLOWN[key] = small_study.as_by_a_process(result)
-    return FLOWN[key]
-
-
-TOLD, SEEN, FINISHED = [], [], []  # by the sweep of the whole study
+TOLD, SEEN = [], []  # by the sweep of the whole study
+FLIGHTS = small_study.FlownOnce()
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +47,7 @@ def folder(tmp_path_factory):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("testbed.studies.sweep.MAX_WRITE_SHARE", 1e9)  # no limit
-        small_study.use(patch, small_study.InThisProcess(FINISHED, fly=fly_once))
+        small_study.use(patch, FLIGHTS)
         patch.chdir(folder)
         sweep(folder / "small.yaml", out, refresh_s=0.0, progress=progress, report=TOLD.append)
     return folder
@@ -68,7 +57,7 @@ def folder(tmp_path_factory):
 def workers(monkeypatch, folder):
     """Workers in this process, and the folder as current directory."""
     monkeypatch.chdir(folder)
-    return small_study.use(monkeypatch, small_study.InThisProcess(fly=fly_once))
+    return small_study.use(monkeypatch, small_study.FlownOnce(results=FLIGHTS.results))
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +65,7 @@ def begun(folder, tmp_path_factory):
     """The result file of a study that was interrupted after a run."""
     out = tmp_path_factory.mktemp("begun") / "study.parquet"
     with pytest.MonkeyPatch.context() as patch:
-        small_study.use(patch, small_study.InThisProcess(fly=fly_once))
+        small_study.use(patch, small_study.FlownOnce(results=FLIGHTS.results))
         patch.chdir(folder)
         interrupt(out, 1)
     return out
@@ -188,7 +177,7 @@ def test_sweep_file_is_readable_during_the_study(folder):
 
 def test_sweep_flies_a_point_no_seed_changes_once(folder, tmp_path, monkeypatch):
     """The file is that of a study that flies every seed, as a noisy point is flown."""
-    assert FINISHED == [0, 2, 3, 4, 6, 7]
+    assert FLIGHTS.finished == [0, 2, 3, 4, 6, 7]
     assert TOLD[-1] == "no seed changes 2 points: 2 runs with the numbers of a flown one"
     monkeypatch.chdir(folder)
     every = small_study.use(monkeypatch, small_study.InThisProcess(every_seed=True))
