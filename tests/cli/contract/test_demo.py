@@ -13,12 +13,13 @@ from testbed.reports import figures
 def short(monkeypatch):
     """Fly and film as little as shows an error."""
     for name, value in {
-        "DURATION_S": 16.5,
-        "FILM_S": (15.4, 16.4 if ALL else 15.8),
+        "DURATION_S": 3.5,
+        "JOINED_S": 2.0,
+        "FILM_S": (2.4, 3.4 if ALL else 2.8),
         "FILM_PX": (320, 180),
         "FILM_FPS": 5,
         "PICTURE_PX": (640, 360),
-        "PICTURE_S": 16.0,
+        "PICTURE_S": 3.0,
     }.items():
         monkeypatch.setattr(demo, name, value)
     if not ALL:
@@ -34,7 +35,7 @@ def test_demo_writes_film_picture_and_report(short, tmp_path):
     assert "<svg" in (tmp_path / "it/report.html").read_text("utf-8")
     assert (tmp_path / "it/run.mcap").exists()
     lines = done.stdout.splitlines()
-    assert lines[0].startswith(" error    ") and "m RMS from 15 s on (uav1 " in lines[0]
+    assert lines[0].startswith(" error    ") and "m RMS from 2 s on (uav1 " in lines[0]
     assert any("testbed view it --web" in line for line in lines)
     assert " H.264    ffmpeg -i it/demo.mp4 -c:v libx264 " in done.stdout
     assert max(map(len, lines)) <= 80

@@ -55,7 +55,8 @@ def test_new_notebook_runs_from_law_to_figure(folder, monkeypatch, capsys):
     if not ALL:
         scenario = folder / "mine" / "mine.yaml"
         assert scenario.read_text().count("330") == 3
-        scenario.write_text(scenario.read_text().replace("330", "150"))
+        text = scenario.read_text().replace("330", "110")
+        scenario.write_text(f"{text}\nrates: {{control_hz: 10, broadcast_hz: 10}}\n")
     notebook = json.loads((folder / "mine" / "mine.ipynb").read_text())
     names: dict[str, object] = {}
     for cell in notebook["cells"]:

@@ -11,6 +11,7 @@ import copy
 import re
 
 import pytest
+from cases import ALL, some
 from places import TESTS
 from snapshot import check_snapshot
 
@@ -150,7 +151,8 @@ def test_remedies_of_wrong_scenarios_are_tried(monkeypatch):
     monkeypatch.chdir(FOLDER / "scenarios")
     count, untried, wrong = collections.Counter(), [], []
     for section in CASES:
-        for case in (FOLDER / "wrong_scenarios" / f"{section}.txt").read_text().split("\n\n"):
+        cases = (FOLDER / "wrong_scenarios" / f"{section}.txt").read_text().split("\n\n")
+        for case in some(cases, len(cases) // 3 + 1):
             try:
                 document = plain(parse(case, "case.yaml", FOLDER))
             except ScenarioError:
@@ -170,6 +172,9 @@ def test_remedies_of_wrong_scenarios_are_tried(monkeypatch):
                     wrong.append(f"{case.strip()}\n  {problem}\n  {remedied}")
                 count["accepted" if not after else "another error"] += 1
     assert not wrong, "\n".join(wrong)
+    assert count["accepted"] > 20
+    if not ALL:
+        return
     untried = [each.replace(str(FOLDER.parents[1]), ".") for each in untried]
     check_snapshot(
         "remedies",

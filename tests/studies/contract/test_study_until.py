@@ -117,7 +117,7 @@ def test_interrupted_study_is_resumed_to_the_bit(folder, tmp_path, monkeypatch):
     def stop(done, total):
         nonlocal flown
         flown += 1
-        if flown > 7:
+        if flown > 20:
             flown = 0
             raise KeyboardInterrupt
 

@@ -4,16 +4,15 @@ import contextlib
 import io
 import itertools
 import os
-import subprocess
 import sys
 
 import matplotlib
 import numpy as np
 import pytest
 from cases import in_full
+from fresh import run_fresh
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from places import ROOT
-from waiting import TIMEOUT_S
 
 from testbed.reports.figure_spec import stack_names
 from testbed.views import matplotlib_backend
@@ -237,15 +236,11 @@ def test_settings_of_the_user_change_no_byte(name, plain, tmp_path):
     settings, variables = USERS[name]
     (tmp_path / "matplotlibrc").write_text(settings)
     others = {k: v for k, v in os.environ.items() if not k.startswith("MPL")}
-    done = subprocess.run(
-        [sys.executable, "-c", DRAW, tmp_path],
-        cwd=tmp_path,
-        env={**others, "PYTHONPATH": str(ROOT), **variables},
-        capture_output=True,
-        text=True,
-        timeout=TIMEOUT_S,
+    program = f"import sys\nsys.argv = ['', {str(tmp_path)!r}]\n{DRAW}"
+    code, output, errors = run_fresh(
+        program, folder=tmp_path, paths=[ROOT], env={**others, **variables}
     )
-    assert done.returncode == 0, done.stderr
-    digest, size = done.stdout.split()
+    assert code == 0, errors
+    digest, size = output.split()
     assert digest == plain
     assert size == ("30.0" if "font.size" in settings else "10.0"), "the user's settings are lost"

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 import views_flight
 from cases import ALL, some
+from fresh import run_fresh
 from full_disk import full_disk
 from places import ROOT
 from process_time import ProcessTime
@@ -46,9 +47,9 @@ from testbed.views.meshes import vertex_normals
 from testbed.views.recorded_runs import SIZE, ViewComplaintError
 from testbed.views.rerun_backend import RerunRecording
 from testbed.views.sample_columns import Collector, batch_of
-from testbed.views.view import BATCH_SAMPLES
 
 HERE = ROOT
+BATCH_SAMPLES = 40
 
 
 @pytest.fixture(autouse=True)
@@ -99,6 +100,8 @@ count = memory.num_msgs()
 """
 FRESH = f"""
 import json, sys
+for name in [each for each in sys.modules if each.startswith("scipy")]:  # of `fresh`
+    del sys.modules[name]
 import testbed.views as v
 v.RerunView(v.LiveViewer())
 v.RrdFile("x")
@@ -115,16 +118,10 @@ def fresh():
 
     By a process with settings of the user: RERUN=off disables all recordings of a process.
     """
-    done = subprocess.run(
-        [sys.executable, "-c", FRESH],
-        cwd=HERE,
-        env=os.environ | {"RERUN": "off", "RERUN_LOG_TICK": "1"},
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=TIMEOUT_S,
-    )
-    return json.loads(done.stdout)
+    user = os.environ | {"RERUN": "off", "RERUN_LOG_TICK": "1"}
+    code, output, errors = run_fresh(FRESH, folder=HERE, paths=[HERE], env=user)
+    assert code == 0, errors
+    return json.loads(output)
 
 
 def test_importing_views_does_not_import_rerun(fresh):
@@ -142,7 +139,7 @@ def test_settings_of_the_user_empty_no_recording(fresh):
 
 def test_calls_per_batch_independent_of_samples():
     calls = []
-    for duration_s in (4.0, 10.0):
+    for duration_s in (3.0, 5.0):
         recording = RerunRecording(scene.scene_of(views_flight.info(4, duration_s)), live=True)
         recording.open(None)
         run = batch_of(views_flight.log(4, duration_s), ())
@@ -155,14 +152,15 @@ def test_calls_per_batch_independent_of_samples():
     assert calls[0] == calls[1] == 4 + 4 + 4 * 5 + 3 + 5 + 5 + 13 + 9
 
 
-def test_view_sends_batch_when_full_or_period_over():
+def test_view_sends_batch_when_full_or_period_over(monkeypatch):
+    monkeypatch.setattr("testbed.views.view.BATCH_SAMPLES", BATCH_SAMPLES)
     sink = InMemory()
     view = RerunView(sink)
     sent = []
     view.begin(views_flight.info(2, 100.0))
     take = view._collector.take
     view._collector.take = lambda: sent.append(take()) or sent[-1]
-    samples = [*itertools.islice(views_flight.samples(2, 60.0), BATCH_SAMPLES + 2)]
+    samples = [*itertools.islice(views_flight.samples(2, 2.0), BATCH_SAMPLES + 2)]
     view._next_send = np.inf
     for sample in samples[:BATCH_SAMPLES]:
         view.observe(sample)
@@ -171,7 +169,7 @@ def test_view_sends_batch_when_full_or_period_over():
     view._next_send = 0.0
     view.observe(samples[BATCH_SAMPLES + 1])
     assert [len(batch) for batch in sent] == [BATCH_SAMPLES, 2]
-    view.end({}, (Event(60.0, "warning", "run", "over"),))
+    view.end({}, (Event(2.0, "warning", "run", "over"),))
     assert len(sent[2]) == 0 and sent[2].events[0].text == "over"
 
 
@@ -236,7 +234,7 @@ def test_unwritable_rrd_file_raises_at_begin(tmp_path):
         RerunView(RrdFile(tmp_path / "file" / "run.rrd")).begin(views_flight.info(2, 1.0))
 
 
-WHOLE_S = 60.0 if ALL else 12.0
+WHOLE_S = 60.0 if ALL else 6.0
 
 
 @pytest.fixture(scope="module")
