@@ -272,7 +272,7 @@ def test_batches_and_studies_refuse_too(tmp_path):
 
 
 # one law, as a kernel and as a class
-KERNEL, CLASS = ROOT / "examples/integral-kernel.yaml", "own-law-integral"
+KERNEL, CLASS = ROOT / "examples/leader-follower-kernel.yaml", "own-law-leader-follower"
 
 
 def test_extrapolation_reaches_own_laws():
@@ -280,7 +280,8 @@ def test_extrapolation_reaches_own_laws():
     flown = {}
     for law in (KERNEL, CLASS):
         for origin in ("receipt", "timestamp", "null") if law == KERNEL or ALL else ("timestamp",):
-            settings = "network.delay_s=0.2", f"controller.extrapolate_from={origin}"
+            own = "controller.options.closing=0.05"  # with which no speed is at its bounds
+            settings = "network.delay_s=0.2", f"controller.extrapolate_from={origin}", own
             simulation = testbed.Simulation(law, settings, duration_s=2.0)
             flown[law, origin] = simulation.step(until=2.0).truth.position_ned
     for (law, origin), one in flown.items():
