@@ -137,7 +137,6 @@ def test_map_rounds_are_told(folder):
     assert all(done <= total for done, total in SEEN)
 
 
-@in_full  # as the interrupted flights below
 def test_map_depends_on_no_order_of_flights(small, tmp_path, monkeypatch):
     use(monkeypatch, small_study.Backwards(size=7, fly=fly))
     monkeypatch.chdir(small)

@@ -9,7 +9,6 @@ import sys
 from types import SimpleNamespace
 
 import pytest
-from cases import in_full
 from places import ROOT
 from waiting import TIMEOUT_S, until
 
@@ -37,7 +36,7 @@ def read_line(descriptor):
     return os.read(descriptor, 100)
 
 
-@pytest.mark.parametrize("ending", [signal.SIGKILL, pytest.param(signal.SIGTERM, marks=in_full)])
+@pytest.mark.parametrize("ending", [signal.SIGKILL, signal.SIGTERM])
 def test_guarded_viewer_ends_with_killed_starter(tmp_path, ending):
     # like the viewer's own program, a script that runs another program
     alive = tmp_path / "alive"
