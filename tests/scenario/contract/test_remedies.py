@@ -11,7 +11,6 @@ import copy
 import re
 
 import pytest
-from cases import ALL, some
 from places import TESTS
 from snapshot import check_snapshot
 
@@ -151,8 +150,7 @@ def test_remedies_of_wrong_scenarios_are_tried(monkeypatch):
     monkeypatch.chdir(FOLDER / "scenarios")
     count, untried, wrong = collections.Counter(), [], []
     for section in CASES:
-        cases = (FOLDER / "wrong_scenarios" / f"{section}.txt").read_text().split("\n\n")
-        for case in some(cases, len(cases) // 3 + 1):
+        for case in (FOLDER / "wrong_scenarios" / f"{section}.txt").read_text().split("\n\n"):
             try:
                 document = plain(parse(case, "case.yaml", FOLDER))
             except ScenarioError:
@@ -172,9 +170,6 @@ def test_remedies_of_wrong_scenarios_are_tried(monkeypatch):
                     wrong.append(f"{case.strip()}\n  {problem}\n  {remedied}")
                 count["accepted" if not after else "another error"] += 1
     assert not wrong, "\n".join(wrong)
-    assert count["accepted"] > 20
-    if not ALL:
-        return
     untried = [each.replace(str(FOLDER.parents[1]), ".") for each in untried]
     check_snapshot(
         "remedies",
