@@ -23,6 +23,7 @@ _KEPT = ("PATH", "HOME", "USER", "LOGNAME", "SHELL", "LANG", "TZ", "TMPDIR", "LD
 _KEPT_PREFIXES = ("LC_", f"{VARIABLE}_")
 _SPEEDUP = 100  # limit of its speed, times real time; high, so that it never delays the run
 _GRACE_S = 1.0  # from SIGTERM to SIGKILL; it ignores SIGTERM while it waits for its physics
+_KILLED_S = 10.0  # after SIGKILL; a machine with other work may end it late
 _POLL_S = 0.002
 _TAIL_LINES, _TAIL_BYTES = 12, 4000
 
@@ -201,5 +202,5 @@ def stop_processes(processes: Iterable[SitlProcess]) -> None:
         process.wait(deadline)
     for process in running:
         process.signal(signal.SIGKILL)
-        process.wait(time.monotonic() + _GRACE_S)
+        process.wait(time.monotonic() + _KILLED_S)
         process.remove_folder()

@@ -149,6 +149,7 @@ def test_faults_act_behind_the_servo_outputs(binary):
     assert np.all(np.abs(ailerons[before]) < 0.3) and np.all(ailerons[held] == 0.4)
     assert np.all(throttles[before][1:] > 0.05) and np.all(throttles[held] == 0.0)
     assert len(np.unique(surfaces[held], axis=0)) == 1 < len(np.unique(surfaces[moving], axis=0))
+    assert abs(frames[-1].truth.euler[0, 0]) > 0.2  # the model flies with the stuck aileron
 
 
 def test_arduplane_computes_before_the_models_step(binary):
