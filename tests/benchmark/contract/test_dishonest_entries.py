@@ -96,6 +96,9 @@ def test_a_crash_never_betters_a_number(results, tasks):
     by_name = {each["name"]: each for each in page["entries"]}
     assert by_name["crash"]["failed"] == len(failed)
     assert by_name["crash"]["lost"] == 0
+    for name, task in by_name["honest"]["tasks"].items():
+        distances = [each.separation_window_m for each in honest.values() if each.task == name]
+        assert task["separation_window_m"] == min(distances) < max(distances)
     numbers = means(page)
     for table in ("all", "gentle", "steep"):
         assert numbers[table, "crash"] >= numbers[table, "honest"]
