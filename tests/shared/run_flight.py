@@ -5,12 +5,14 @@ import textwrap
 
 import numpy as np
 
+from testbed.atmosphere import turbulence_field
 from testbed.flight.loop import fly
 from testbed.plan.world import build
 from testbed.scenario import library, load_scenario, set_duration
 
 SECONDS = 20.0
 NOISY = ("leader.sensors=gps-ins", "fleet.*.sensors=gps-ins")
+MINUTE = ("scenario.duration_s=60", "scenario.windows=null", "scenario.published=null")
 
 
 class Collector:
@@ -79,11 +81,16 @@ def fly_with_recorder(scenario):
 
 
 def first_minute(folder):
-    """Write the begin of a recorded flight, which is read sooner; return the change it takes."""
+    """Write the begin of a recorded flight, which is read sooner; return the changes it takes."""
     whole = library() / "scenarios/data/arduplane-auto-leader-rascal.csv"
     path = folder / "leader.csv"
     path.write_text("\n".join(whole.read_text().split("\n")[:775]))
-    return f"leader.path.file={path}"
+    return (f"leader.path.file={path}", *MINUTE)
+
+
+def small_grids(monkeypatch):
+    """Let fields of coherent turbulence have fewer points, which are drawn sooner."""
+    monkeypatch.setattr(turbulence_field, "COUNTS", (32, 24))
 
 
 def arrays(frame):

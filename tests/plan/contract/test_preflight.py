@@ -8,7 +8,7 @@ import shutil
 import pytest
 import small_study
 from places import TESTS
-from run_flight import first_minute
+from run_flight import MINUTE, first_minute
 from typer.testing import CliRunner
 
 import testbed
@@ -31,7 +31,6 @@ from testbed.scenario import (
 )
 from testbed.studies.sweep import sweep
 
-MINUTE = ("scenario.duration_s=60", "scenario.windows=null", "scenario.published=null")
 MINIMAL = (TESTS / "data" / "scenarios" / "minimal.yaml").read_text()
 
 
@@ -158,8 +157,8 @@ def test_wind_bounds_the_airspeed_by_default():
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
     """Return warnings of a flight behind the first minute of a recorded leader, with changes."""
-    file = first_minute(tmp_path_factory.mktemp("recorded"))
-    return lambda *changes: warnings("simulation-3-recorded-leader", file, *MINUTE, *changes)
+    minute = first_minute(tmp_path_factory.mktemp("recorded"))
+    return lambda *changes: warnings("simulation-3-recorded-leader", *minute, *changes)
 
 
 def test_recorded_leader_in_wind_has_a_warning(recorded):

@@ -7,11 +7,11 @@ from collections import namedtuple
 
 import pytest
 from cases import some
+from run_flight import small_grids
 from typer.testing import CliRunner
 from waiting import TIMEOUT_S
 
 import testbed
-from testbed.atmosphere import turbulence_field
 from testbed.cli.main import app
 from testbed.core.errors import InputError
 from testbed.plan import resources
@@ -60,7 +60,7 @@ def run_error(name, *changes, out):
     "name", some(["simulation-3", "simulation-3-pixhawk", "turbulence-moderate", "vee-30"], 2)
 )
 def test_disk_needed_agrees_with_the_log(name, tmp_path, monkeypatch):
-    monkeypatch.setattr(turbulence_field, "COUNTS", (32, 24))  # smaller grids: made sooner
+    small_grids(monkeypatch)
     scenario = set_duration(load_scenario(name), 12.0)
     run = testbed.run(scenario, out=tmp_path / "run")
     size = (run.directory / "run.mcap").stat().st_size

@@ -11,11 +11,10 @@ import pytest
 import yaml
 from cases import some
 from commands import call_command, environment
-from run_flight import Collector
+from run_flight import Collector, small_grids
 from waiting import TIMEOUT_S
 
 import testbed
-from testbed.atmosphere import turbulence_field
 from testbed.logs.mcap_file import read
 from testbed.mavlink.udp_endpoint import parse_address
 from testbed.runs.external_options import NO_EXTERNAL
@@ -98,7 +97,7 @@ def test_the_order_of_keys(scenario, alone):
 
 @pytest.mark.parametrize("turbulence", [*some(["dryden", "von-karman"], 1), "coherent"])
 def test_silent_aircraft_without_wake_changes_nothing(turbulence, monkeypatch):
-    monkeypatch.setattr(turbulence_field, "COUNTS", (32, 24))  # smaller grids: made sooner
+    small_grids(monkeypatch)
     changes = [*BUSY, f"air.turbulence={{model: {turbulence}, intensity: moderate}}"]
     scenario = load_scenario("simulation-3", changes)
     tree = yaml.safe_load(dump(scenario))

@@ -2,9 +2,9 @@
 
 import pytest
 import small_study
+from run_flight import small_grids
 
 import testbed
-from testbed.atmosphere import turbulence_field
 from testbed.core.errors import FlightError, InputError
 from testbed.pool.flight_task import FlightTask, run_task
 from testbed.runs import repeated
@@ -44,7 +44,7 @@ def built(monkeypatch):
 
 @pytest.mark.parametrize("changes", [NOISY, GUSTY], ids=["noisy", "gusty"])
 def test_kept_flights_are_runs_of_their_seeds(changes, built, monkeypatch):
-    monkeypatch.setattr(turbulence_field, "COUNTS", (32, 24))  # smaller grids: made sooner
+    small_grids(monkeypatch)
     scenario, flights = load(*changes), RepeatedFlights()
     seeds = 3, 1, 1, 3
     found = [flights.fly(set_seed(scenario, seed)) for seed in seeds]

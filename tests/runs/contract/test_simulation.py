@@ -79,11 +79,8 @@ def test_uneven_steps_write_the_log_of_a_run(tmp_path, case):
 
 def test_samples_have_the_wind_of_their_tick(tmp_path):
     """Against the closed form of a gust in time, for every kind of vehicle, at every tick."""
-    windows = "scenario.windows=null", "scenario.published=null", "scenario.duration_s=60"
-    overrides = [f"air.gusts=[{PUFF}]", "fleet.uav1.vehicle=unicycle", first_minute(tmp_path)]
-    scenario = set_duration(
-        load_scenario("simulation-3-recorded-leader", [*overrides, *windows]), 1.0
-    )
+    overrides = [f"air.gusts=[{PUFF}]", "fleet.uav1.vehicle=unicycle", *first_minute(tmp_path)]
+    scenario = set_duration(load_scenario("simulation-3-recorded-leader", overrides), 1.0)
     logged = Collector()
     simulation = testbed.Simulation(scenario, observers=[logged])
     states = [copy_sample(simulation.state), *map(copy_sample, steps(simulation))]
