@@ -17,6 +17,7 @@ from testbed.compiled.rows import write_attitude, write_motion
 from testbed.compiled.source import Recalled
 from testbed.compiled.translate import Translation, translate
 from testbed.core.compile import entry_of_source
+from testbed.core.errors import InputError
 from testbed.core.geodetic import RADIANS, local_frame
 from testbed.core.records import AIRCRAFT, Array, ByteArray, NedOrigin, Records
 from testbed.vehicle.environment import INTEGRATORS, Integrators
@@ -107,7 +108,7 @@ class CompiledAircraft:
 
     def run_row(self, row: Array, dt: float, ticks: int) -> int:
         """Advance one row (S,) by steps of dt, s; return its status."""
-        return int(self.advance(row.reshape(1, -1), dt, ticks)[0])
+        return int(self.advance(row[np.newaxis], dt, ticks)[0])
 
     def advance(
         self,
@@ -121,7 +122,7 @@ class CompiledAircraft:
         """Advance rows by steps of dt, all with the same number of steps.
 
         Args:
-            state: (M, S) rows; written.
+            state: (M, S) rows, float64 in C order; written.
             dt: s, one step.
             ticks: number of steps.
             controls: (M, 4) aileron, elevator, rudder, −1..1, throttle 0..1, with JSBSim's signs;
@@ -130,12 +131,21 @@ class CompiledAircraft:
 
         Returns:
             Status of each row (M,): 0, or why it was not advanced to the end, see `model_limits`.
+
+        Raises:
+            InputError: an array has another shape, or `state` another type or order.
         """
-        count = len(state)
+        count, size = len(state), 1 + max(self.columns.values())
+        # compiled code reads and writes beyond the end of an array without a word
+        if state.shape != (count, size) or state.dtype != float or not state.flags.c_contiguous:
+            raise InputError(
+                f"state: has the shape {state.shape} and the type {state.dtype} (write "
+                f"np.ascontiguousarray(state, float), with {size} columns)"
+            )
         # arrays of another type or order in memory would be compiled for
         held, air = (
-            np.zeros((count, size)) if given is None else np.ascontiguousarray(given, dtype=float)
-            for given, size in ((controls, 4), (wind, 7))
+            _rows_of(given, name, (count, size))
+            for name, given, size in (("controls", controls, 4), ("wind", wind, 7))
         )
         changed, status = np.zeros(2, dtype=bool), np.zeros(count, dtype=np.uint8)
         changed[CONTROLS_CHANGED], changed[WIND_CHANGED] = controls is not None, wind is not None
@@ -197,6 +207,14 @@ def _reader(model: JsbsimModel) -> Callable[[str], float | None]:
         return None if node is None else float(node.get_double_value())
 
     return read
+
+
+def _rows_of(given: Array | None, name: str, shape: tuple[int, int]) -> Array:
+    """Return numbers as compiled code takes them; None: zeros."""
+    rows = np.zeros(shape) if given is None else np.ascontiguousarray(given, dtype=float)
+    if rows.shape != shape:
+        raise InputError(f"{name}: has the shape {rows.shape} (write {shape})")
+    return rows
 
 
 class _Placement:

@@ -1,9 +1,11 @@
 """Rows of a compiled aircraft without a fleet: placed, advanced with controls and wind."""
 
 import numpy as np
+import pytest
 
 from testbed.compiled.compiled_aircraft import CompiledAircraft
 from testbed.compiled.compiled_fleet import find_engine, make_compiled_fleet, place_row
+from testbed.core.errors import InputError
 from testbed.core.library import library
 from testbed.core.records import NedOrigin
 from testbed.vehicle.fleet import place_model
@@ -41,6 +43,21 @@ def test_each_row_has_its_controls_and_wind():
     assert roll_rate[1] > 0.05 > abs(roll_rate[0])
     alpha = rows[:, aircraft.columns["aero/alpha-rad"]]
     assert alpha[2] > alpha[0] + 0.01
+
+
+def test_arrays_of_another_shape_are_refused():
+    """Compiled code would read, and write, what lies behind them."""
+    aircraft = find_engine(FOLDER, RATE_HZ).compiled
+    rows = np.tile(place_row(FOLDER, START, ORIGIN, RATE_HZ).row, (3, 1))
+    before = rows.copy()
+    for wrong in (rows[:, :-1], rows.astype("f4"), rows[::2], rows[0]):
+        with pytest.raises(InputError, match=r"^state: has the shape .* \(write np\.ascont"):
+            aircraft.advance(wrong, 1.0 / RATE_HZ, 1)
+    with pytest.raises(InputError, match=r"^controls: has the shape \(3, 3\) \(write \(3, 4\)\)"):
+        aircraft.advance(rows, 1.0 / RATE_HZ, 1, controls=np.zeros((3, 3)))
+    with pytest.raises(InputError, match=r"^wind: has the shape \(7,\) \(write \(3, 7\)\)"):
+        aircraft.advance(rows, 1.0 / RATE_HZ, 1, wind=np.zeros(7))
+    np.testing.assert_array_equal(rows, before)
 
 
 def test_motion_of_rows_is_that_of_jsbsim():

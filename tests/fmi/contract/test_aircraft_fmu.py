@@ -116,7 +116,11 @@ def test_numbers_are_those_of_the_testbed(archive, air):
 
 
 def test_last_bit_of_the_mass_changes_the_numbers(archive):
-    """A negative control of the test above: the mass is found in the state by its value."""
+    """A negative control of the test above: the mass is found in the state by its value.
+
+    How many numbers differ depends on the processor, whose functions of libm round otherwise: from
+    1 s on some differ at each point.
+    """
     aircraft = testbed.Aircraft("rascal110", airspeed_mps=20.0)
     (kind,) = aircraft.simulation._world.fleet.kinds
     mass = float(kind.state[0, kind.aircraft.columns["inertia/mass-slugs"]])
@@ -126,7 +130,7 @@ def test_last_bit_of_the_mass_changes_the_numbers(archive):
     assert data.count(old) == 1
     instance.restore(instance.deserialize((data.replace(old, new), time)))
     pairs = list(fly_beside(instance, aircraft, 2.0))
-    assert sum(np.count_nonzero(ours != theirs) for ours, theirs in pairs) > 1000
+    assert all(np.any(ours != theirs) for ours, theirs in pairs[50:])
     assert max(np.abs(ours - theirs).max() for ours, theirs in pairs) < 1e-6
 
 
