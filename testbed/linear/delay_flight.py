@@ -99,16 +99,15 @@ def predict_errors(scenario: Scenario, bank_deg: float) -> SteadyErrors:
     Raises:
         MarginsError: the scenario has a part that the prediction has not; with its key.
     """
-    world = _build(scenario, bank_deg)
+    world = _build(scenario, bank_deg, 1.0)  # which is not flown
     check_predictable(scenario, world, turning=bool(bank_deg))
     errors = solve_errors(scenario, world, _motion(world))
     return SteadyErrors(errors, "" if np.isfinite(errors).all() else "no steady flight is found")
 
 
-def _build(scenario: Scenario, bank_deg: float) -> World:
+def _build(scenario: Scenario, bank_deg: float, duration_s: float) -> World:
     check_measurable(scenario)
     steady = steady_scenario(scenario, bank_deg, scenario.scenario.engine)
-    duration_s = SETTLE_S + RANDOM_LOOK_S + 2.0 * LOOK_S
     header = with_changes(steady.scenario, duration_s=duration_s)
     world = build_compiled(with_changes(steady, scenario=header))
     check_roll_limits(world, abs(bank_deg))
@@ -125,7 +124,7 @@ def fly_errors(scenario: Scenario, bank_deg: float) -> SteadyErrors:
     Raises:
         MarginsError: the scenario cannot be flown so, or the bank is too near a limit.
     """
-    world = _build(scenario, bank_deg)
+    world = _build(scenario, bank_deg, SETTLE_S + RANDOM_LOOK_S + 2.0 * LOOK_S)
     slots = world.formation.control.offsets, world.formation.altitudes
     flight = Flight(world, [])
     flight.prepare()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
 
 from testbed.core.compile import source_digest
@@ -17,8 +18,9 @@ PREDICTION_PACKAGES = ("linear",)  # and a prediction
 _PACKAGE = Path(__file__).parents[1]
 
 
+@functools.cache
 def flight_code(*, predictions: bool = False) -> str:
-    """Return a short digest of the code of flights, and of predictions."""
+    """Return a short digest of the code of flights, and of predictions, as it was at first."""
     packages = FLIGHT_PACKAGES + (PREDICTION_PACKAGES if predictions else ())
     return source_digest(_PACKAGE, packages)[:12]
 

@@ -94,6 +94,12 @@ def use(monkeypatch, workers):
     return workers
 
 
+def check_little(patch):
+    """Before a study is flown, read few of its scenarios and build none: tests of plans do."""
+    patch.setattr("testbed.studies.plan_check.MAX_CHECKED", 3)
+    patch.setattr("testbed.studies.plan_check.MAX_BUILT", 0)
+
+
 @dataclass
 class Backwards(InThisProcess):
     """Workers of several flights at once, of which the last one always ends first."""

@@ -3,7 +3,6 @@
 import json
 import re
 import shutil
-import struct
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -11,10 +10,12 @@ import numpy as np
 import pytest
 from cases import ALL
 from commands import call_command
+from figure_texts import write_texts
 
 import testbed
 from testbed.airframes.powerplant import AircraftError
 from testbed.autopilot.parameters import read_params
+from testbed.commissioning import check_flight, step_responses
 from testbed.commissioning.airframe_import import copy_aircraft
 from testbed.commissioning.check_flight import DURATION_S, check_and_soften
 from testbed.commissioning.first_gains import softened
@@ -85,7 +86,9 @@ def kite(kind, tmp_path_factory):
     cwd = tmp_path_factory.mktemp("new")
     options = "--speed", kind.speed, "--into", cwd / "kite", "--json", cwd / "found.json"
     options += "--plot", cwd / "printed.png", "--width", 3.5, "--no-title"
-    done = new_aircraft(cwd, kind.file, *options)
+    with pytest.MonkeyPatch.context() as patch:
+        write_texts(patch)
+        done = new_aircraft(cwd, kind.file, *options)
     return cwd / "kite", json.loads((cwd / "found.json").read_text()), done
 
 
@@ -102,8 +105,13 @@ def test_new_aircraft_has_all_its_files(kite, kind):
     assert document["aircraft"] == "kite" and document["cut"] == document["declared"] == []
     for text in ("level flight", "fly-by-wire A", "testbed trim", "formation.speed_pole_per_s"):
         assert text in done.stdout
-    data = (folder.parent / "printed.png").read_bytes()
-    assert struct.unpack(">I", data[16:20])[0] == pytest.approx(3.5 * 300, abs=2)
+    kept, printed = (
+        (folder.parent / name).read_text("utf-8").splitlines()
+        for name in ("kite/envelope.png", "printed.png")
+    )
+    assert printed[0] == "png 1050" != kept[0]  # 3.5 inches of 300 dots
+    titles = [each for each in kept[1:] if each not in printed]
+    assert titles[0] == "Level flight of kite" and len(titles) == 2
     for text in ("trim …", "step responses …", "60 s of fly-by-wire A …"):
         assert text in done.stderr
 
@@ -210,6 +218,23 @@ def test_speed_without_level_flight_is_refused(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.fixture
+def brief_check(monkeypatch):
+    """Fly a step of each angle and back; the whole flight is that of the kite."""
+    if not ALL:
+        steps = (0.0, 0.0, 0.0), (2.0, 30.0, 0.0), (12.0, 0.0, 0.0), (20.0, 0.0, 4.0)
+        monkeypatch.setattr(check_flight, "_COMMANDS", (*steps, (26.0, 0.0, 0.0)))
+        monkeypatch.setattr(check_flight, "DURATION_S", 32.0)
+
+
+@pytest.fixture
+def brief_steps(monkeypatch):
+    """Fly as long as signs need; slow responses of the throttle are those of the kite."""
+    if not ALL:
+        monkeypatch.setattr(step_responses, "THROTTLE_S", step_responses.PITCH_S)
+
+
+@pytest.mark.usefixtures("brief_check", "brief_steps")
 def test_glider_descends_at_each_speed(tmp_path, monkeypatch):
     monkeypatch.setattr("testbed.views.matplotlib_backend.save_figure", lambda *_: None)
     done = new_aircraft(tmp_path, "SGS", "--json", "-")
@@ -233,6 +258,7 @@ def test_steps_agree_with_the_linearised_aircraft():
     assert steps.pitch_acceleration < linear.b[pitch, 1]
 
 
+@pytest.mark.usefixtures("brief_check")
 def test_ringing_gains_are_softened():
     """A large integral and no time constant ring, which is found, and ended by softening."""
     good = read_params(RASCAL / "autopilot.param")
@@ -268,6 +294,7 @@ SIGNS = {
 }
 
 
+@pytest.mark.usefixtures("brief_steps")
 @pytest.mark.parametrize("control", SIGNS)
 def test_reversed_control_has_its_measured_sign(control, tmp_path):
     """The rate is that of the right sign, which no error has (the test above)."""
@@ -286,6 +313,7 @@ THROTTLE = """</channel><channel name="throttle"><fcs_function name="fcs/throttl
 </function><output>fcs/throttle-pos-norm[0]</output></fcs_function></channel>"""
 
 
+@pytest.mark.usefixtures("brief_steps")
 def test_reversed_throttle_is_named(tmp_path):
     folder = changed_rascal(tmp_path / "slow", "</channel>", THROTTLE)
     text = "the throttle acts the wrong way: within the first 2 s a full one makes the aircraft 4"

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cases import ALL, some
+from figure_texts import write_texts
 from places import ROOT
 from typer.testing import CliRunner
 
@@ -205,7 +206,8 @@ def test_factor_without_a_place_names_the_file(tmp_path):
     assert not (tmp_path / "a").exists()
 
 
-def test_respond_prints_and_writes_what_is_asked(commands, model, tmp_path):
+def test_respond_prints_and_writes_what_is_asked(commands, model, tmp_path, monkeypatch):
+    write_texts(monkeypatch)
     options = ("--plot", tmp_path / "p.svg", "--json", tmp_path / "r.json")
     done = call("rascal110", commands.path, tmp_path / "out.csv", *options)
     assert done.exit_code == 0

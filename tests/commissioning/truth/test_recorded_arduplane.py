@@ -29,7 +29,7 @@ RASCAL = ROOT / "aircraft" / "rascal110"
 RECORDING = ROOT / "tests" / "data" / "arduplane_fbwa_rascal_steps.csv"
 WHOLE = os.environ.get("TESTBED_ARDUPLANE_WHOLE")
 PERIOD_S = 0.02  # of the autopilot
-SHORT_S = 150.0 if ALL or WHOLE else 100.0  # of flights with bounds that hold for its part, too
+SHORT_S = 150.0 if ALL or WHOLE else 80.0  # of flights with bounds that hold for its part, too
 fly_recorded = partial(respond, integrators=JSBSIM_DEFAULT_INTEGRATORS)  # as the recording was
 
 
@@ -159,12 +159,12 @@ def test_descending_turns_follow_the_recorded_airframe(
 ) -> None:
     """Roll and pitch of fast descending turns; measured: 0.38° and 0.39°.
 
-    Half a flight of one seed of four; all of them, and the row in the docs, with
+    A third of a flight of one seed of four; all of them, and the row in the docs, with
     TESTBED_ARDUPLANE_WHOLE=1.
     """
     if not WHOLE:
         monkeypatch.setattr(recorded_arduplane, "SEEDS", recorded_arduplane.SEEDS[:1])
-        monkeypatch.setattr(recorded_arduplane, "END_S", 75.0)
+        monkeypatch.setattr(recorded_arduplane, "END_S", 50.0)
     each = recorded_arduplane.FAST[1]
     ours, real, late = recorded_arduplane.fly_manoeuvres(tmp_path, recorded_airframe, each)
     assert recorded_arduplane.rms_deg(ours, real, "phi_rad") < 0.5

@@ -4,14 +4,17 @@ import json
 from dataclasses import replace
 
 import numpy as np
+from coarse_leaders import coarse_leaders  # noqa: F401 - for all tests
 from commands import call_command, refuse_all
+from figure_texts import write_texts
 from small_study import in_this_process
 
 from testbed.views.delay_figure import FollowerOffsets, delay_figure
 
 
-def test_delay_command_predicts(tmp_path):
+def test_delay_command_predicts(tmp_path, monkeypatch):
     """Both origins of the extrapolation, for each follower; a figure where there is no flight."""
+    write_texts(monkeypatch)
     words = ("delay", "simulation-2", "--delays", "0.1,0.4", "--bank", "20")
     with in_this_process():
         done = call_command(

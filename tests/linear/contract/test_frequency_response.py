@@ -4,7 +4,9 @@ import json
 
 import pytest
 from cases import ALL
+from coarse_leaders import coarse_leaders  # noqa: F401 - for all tests
 from commands import call_command, refuse_all
+from figure_texts import write_texts
 from slow_control import RATES
 from small_study import in_this_process
 
@@ -14,13 +16,15 @@ from testbed.linear import straight_formation
 def test_frequency_response_writes_json_and_figure(tmp_path, monkeypatch):
     """Predicted only; the gain per hop is the amplitude over that of the follower ahead."""
     if not ALL:  # the integral of the course settles for longer, but hardly moves here
-        monkeypatch.setattr(straight_formation, "SETTLED_S", 75.0)
+        monkeypatch.setattr(straight_formation, "SETTLED_S", 45.0)
+    write_texts(monkeypatch)
     words = ("frequency-response", "simulation-3", "--plot", "figure.png", "--json", "out.json")
     words += tuple(word for each in RATES for word in ("--set", each))
     with in_this_process():
         text = call_command(*words, "--jobs", "1", cwd=tmp_path, code=0, columns=120).stdout
     assert "leader-speed · slot-error" in text and "uav3" in text
-    assert (tmp_path / "figure.png").read_bytes().startswith(b"\x89PNG")
+    kind, *texts = (tmp_path / "figure.png").read_text("utf-8").splitlines()
+    assert kind.startswith("png") and "uav3" in texts
     found = json.loads((tmp_path / "out.json").read_text())
     assert found["schema"] == 1 and "flown" not in found
     followers = found["predicted"]["followers"]

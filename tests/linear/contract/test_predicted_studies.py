@@ -5,6 +5,7 @@ import shlex
 
 import pytest
 import small_study
+from coarse_leaders import coarse_leaders  # noqa: F401 - for all tests
 from commands import call_command
 
 from testbed.core.errors import InputError
@@ -32,6 +33,8 @@ def rows(tmp_path_factory):
         workers = small_study.InThisProcess()
         patch.setattr("testbed.pool.flight_pool._open_workers", lambda *_: workers)
         patch.chdir(folder)
+        # the first flight is steady before, and the second one never
+        patch.setattr("testbed.linear.steady_flight.LONGEST_SETTLE_S", 60.0)
         result = sweep(small_study.write(folder, STUDY), folder / "out.parquet")
         return list(read_rows(result.path))
 

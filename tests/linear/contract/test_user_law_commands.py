@@ -5,7 +5,9 @@ from pathlib import Path
 
 import pytest
 from cases import ALL, in_full
+from coarse_leaders import coarse_leaders  # noqa: F401 - for all tests
 from commands import call_command
+from figure_texts import write_texts
 from slow_control import RATES
 from small_study import in_this_process
 from user_laws import FILTERED
@@ -51,6 +53,7 @@ def test_delay_of_a_law_is_flown(folder, monkeypatch):
     """One row for each delay: the law receives messages as they are, and extrapolates them."""
     if not ALL:  # what settles for longer is of turns
         monkeypatch.setattr(delay_flight, "SETTLE_S", 100.0)
+    write_texts(monkeypatch)
     words = ("delay", "own.yaml", "--delays", "0.2", "--json", "d.json", "--plot", "d.svg")
     with in_this_process():
         done = call_command(*words, cwd=folder, code=0, columns=80)

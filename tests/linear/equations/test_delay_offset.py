@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from cases import ALL, some
+from coarse_leaders import coarse_leaders  # noqa: F401 - for all tests
 
 from testbed.linear import delay_flight
 from testbed.linear.delay_flight import (
@@ -74,7 +75,7 @@ def test_offset_needs_each_hop_and_the_whole_age(name):
     flown = fly_errors(scenario, 30.0).error_m
     world = build(scenario)
     control = world.formation.built_control
-    motion = delay_flight._motion(delay_flight._build(scenario, 30.0))
+    motion = delay_flight._motion(delay_flight._build(scenario, 30.0, 1.0))
     ages = message_ages(scenario, world)
 
     def solve(gains, used):

@@ -1,6 +1,7 @@
 """Margins with other gains, of one steady flight."""
 
 import pytest
+from coarse_leaders import coarse_leaders  # noqa: F401 - for all tests
 from slow_control import RATES
 
 import testbed

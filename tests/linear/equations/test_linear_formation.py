@@ -5,7 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cases import ALL, some
+from cases import ALL, in_full
+from coarse_leaders import coarse_leaders  # noqa: F401 - for all tests
 from scipy.signal import dlsim
 from slow_control import RATES
 
@@ -23,19 +24,19 @@ ROLL = 1
 NAMES = ("uav1", "uav2", "uav3")
 
 
-def begin(name, climb_mps, *overrides):
+def begin(name, climb_mps, *overrides, settle_s=120.0):
     """Return a steady turn at about 30°, and its state then."""
     scenario = load_scenario(name, list(overrides))
     flight = HeldFlight(build(steady_scenario(scenario, 30.0, "compiled", climb_mps)))
-    flight.fly_to(120.0)
+    flight.fly_to(settle_s)
     return flight, flight.save()
 
 
 class Linearised:
     """A steady turn."""
 
-    def __init__(self, name, climb_mps, *overrides):
-        self.flight, self.start = begin(name, climb_mps, *overrides)
+    def __init__(self, name, climb_mps, *overrides, settle_s=120.0):
+        self.flight, self.start = begin(name, climb_mps, *overrides, settle_s=settle_s)
         self.maps = linearise(self.flight)
         self.formation = join(self.maps)
 
@@ -110,7 +111,7 @@ def test_response_needs_the_whole_state(turn, missing):
 
 def test_response_in_a_descending_turn():
     """The propeller turns slowly, so the throttle does more than in level flight."""
-    descent = Linearised("simulation-3", -2.0, *RATES)
+    descent = Linearised("simulation-3", -2.0, *RATES, settle_s=120.0 if ALL else 60.0)
     velocity = descent.flight.world.aircraft["truth"]["velocity_ned"]
     assert np.abs(velocity[:, 2] - 2.0).max() < 0.05
     periods = round(8.0 / descent.flight.dt)
@@ -138,7 +139,8 @@ def test_average_has_the_poles_of_the_product(turn):
 MARGINS = [(command, what) for what in ("gain", "latency_s") for command in range(3)]
 
 
-@pytest.mark.parametrize(("command", "what"), some(MARGINS, 1))
+@in_full  # responses of this formation, and margins of others, are compared with flights
+@pytest.mark.parametrize(("command", "what"), MARGINS)
 def test_margin_is_that_of_flights(turn, command, what):
     """A follower's oscillation decays below the margin of a command, and grows above it."""
     margin = getattr(margins_of_command(turn.formation, 0, command), what)

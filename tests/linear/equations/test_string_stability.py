@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from cases import ALL
+from coarse_leaders import coarse_leaders  # noqa: F401 - for all tests
 from slow_control import RATES
 
 from testbed.core.velocity_frame import velocity_frame
@@ -51,7 +52,7 @@ def flown(request, scenario):
     name, frequency = request.param
     with pytest.MonkeyPatch.context() as patch:
         if not ALL:  # the integral of the course settles for longer, but hardly moves here
-            patch.setattr(flown_response, "SETTLED_S", 75.0)
+            patch.setattr(flown_response, "SETTLED_S", 45.0)
         return name, frequency, fly_response(scenario, name, frequency).response
 
 

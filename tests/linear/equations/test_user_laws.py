@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cases import ALL, in_full
+from coarse_leaders import coarse_leaders  # noqa: F401 - for all tests
 from scipy.signal import dlsim
 from slow_control import RATES
 from user_laws import FILTERED

@@ -35,6 +35,12 @@ def brief():
     return make(duration_s=0.6)
 
 
+@pytest.fixture(scope="module")
+def noisy():
+    """Two alike, of episodes with five steps and noise."""
+    return [make(overrides=NOISY) for _ in range(2)]
+
+
 def actions(count, seed, bound=0.3):
     return np.random.default_rng(seed).uniform(-bound, bound, (count, 3)).astype(np.float32)
 
@@ -70,8 +76,8 @@ def test_episodes_are_those_of_one_flight(threads):
     assert steps == 5 and truncated.all()
 
 
-def test_numbers_are_those_of_a_simulation():
-    envs = make(overrides=NOISY)
+def test_numbers_are_those_of_a_simulation(noisy):
+    envs, _ = noisy
     envs.reset(seed=3)
     row = envs.flown[2]
     simulation = testbed.Simulation(envs.batch.scenario(row))
@@ -84,13 +90,13 @@ def test_numbers_are_those_of_a_simulation():
         np.testing.assert_array_equal(state.truth.position_ned, truth)
 
 
-def test_same_seed_gives_the_same_episodes():
+def test_same_seed_gives_the_same_episodes(noisy):
     """Starts, seeds and numbers, over the ends of episodes."""
-    flown, two = [], [make(overrides=NOISY, duration_s=0.6) for _ in range(2)]
-    for seed, envs in zip((1, 1, 2), (*two, two[0]), strict=True):
+    flown = []
+    for seed, envs in zip((1, 1, 2), (*noisy, noisy[0]), strict=True):
         seen = [envs.reset(seed=seed)[0]]
         starts = []
-        for step in range(6):  # an episode has three and its reset
+        for step in range(8):  # an episode has five and its reset
             seen.append(envs.step(actions(3, step))[0])
             starts.append(envs.flown.tolist())
         flown.append((np.array(seen).tobytes(), starts))
@@ -241,12 +247,7 @@ def test_wrong_options_keep_all_episodes(twins):
         )
 
 
-def test_a_mask_needs_episodes_and_whole_flights():
-    envs = make(starts=1)
-    with pytest.raises(gymnasium.error.ResetNeeded):
-        envs.step(np.zeros((3, 3)))
-    with pytest.raises(gymnasium.error.ResetNeeded, match="call reset"):
-        envs.reset(options={"reset_mask": np.array([True, False, False])})
+def test_a_mask_needs_whole_flights():
     flights = FormationVectorEnv(2, duration_s=1.0, starts=1)
     flights.reset(seed=1)
     with pytest.raises(InputError, match="the 3 followers of a flight begin together"):
@@ -255,8 +256,12 @@ def test_a_mask_needs_episodes_and_whole_flights():
     assert flights.step(np.zeros((6, 3)))[-1]["time_s"] == pytest.approx(0.22)
 
 
-def test_a_closed_environment_refuses_all():
-    envs = make(num_envs=1, starts=1)
+def test_new_and_closed_environments_refuse_steps():
+    envs = make(num_envs=2, starts=1)
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        envs.step(np.zeros((2, 3)))
+    with pytest.raises(gymnasium.error.ResetNeeded, match="call reset"):
+        envs.reset(options={"reset_mask": np.array([True, False])})
     envs.reset(seed=1)
     envs.close()
     for call in (envs.reset, lambda: envs.step(np.zeros((3, 3)))):

@@ -66,9 +66,8 @@ def fly_whole(folder, text, **options):
 
 @pytest.fixture(scope="module", autouse=not ALL)
 def few_checked():
-    """Read few scenarios before a map is flown: the tests of plans are elsewhere."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("testbed.studies.plan_check.MAX_CHECKED", 20)
+        small_study.check_little(patch)
         yield
 
 

@@ -7,6 +7,7 @@ import re
 import numpy as np
 import pytest
 import small_study
+from cases import ALL
 from commands import call_command
 from small_study import use
 from study_samples import METRIC, flights_of, study_of
@@ -46,6 +47,13 @@ def fly(task):
     return small_study.made_result(
         task, number, "lost" if lost else "completed", depends_on_seed=loss > 0.0
     )
+
+
+@pytest.fixture(scope="module", autouse=not ALL)
+def few_checked():
+    with pytest.MonkeyPatch.context() as patch:
+        small_study.check_little(patch)
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -23,6 +23,7 @@ from testbed.cli.progress import progress_counter
 from testbed.cli.sweep import summary_tables
 from testbed.core.errors import InputError
 from testbed.metrics.flat_numbers import flatten_metrics
+from testbed.pool.flight_code import flight_code
 from testbed.studies.journal import Journal
 from testbed.studies.study_summary import RunGroup, Summary
 from testbed.studies.sweep import sweep
@@ -57,6 +58,8 @@ def folder(tmp_path_factory):
 def workers(monkeypatch, folder):
     """Workers in this process, and the folder as current directory."""
     monkeypatch.chdir(folder)
+    if not ALL:
+        small_study.check_little(monkeypatch)
     return small_study.use(monkeypatch, small_study.FlownOnce(results=FLIGHTS.results))
 
 
@@ -66,6 +69,7 @@ def begun(folder, tmp_path_factory):
     out = tmp_path_factory.mktemp("begun") / "study.parquet"
     with pytest.MonkeyPatch.context() as patch:
         small_study.use(patch, small_study.FlownOnce(results=FLIGHTS.results))
+        small_study.check_little(patch)
         patch.chdir(folder)
         interrupt(out, 1)
     return out
@@ -221,9 +225,18 @@ def test_resume_changed_versions_are_refused(begun, workers, tmp_path, monkeypat
         sweep("small.yaml", tmp_path / "new")
 
 
-def test_resume_changed_code_is_refused(folder, begun, workers, monkeypatch):
-    """Whether the study was interrupted or complete: its runs were flown by other code."""
+@pytest.fixture
+def changed_code(monkeypatch):
+    """Have a process find another digest of its code."""
+    flight_code.cache_clear()
     monkeypatch.setattr("testbed.pool.flight_code.source_digest", lambda *_: "0123456789abcdef")
+    yield
+    flight_code.cache_clear()
+
+
+@pytest.mark.usefixtures("workers", "changed_code")
+def test_resume_changed_code_is_refused(folder, begun):
+    """Whether the study was interrupted or complete: its runs were flown by other code."""
     for out in (begun, folder / "whole.parquet"):
         with pytest.raises(InputError, match=r"the code changed.*testbed from \w+ to 0123456789ab"):
             sweep("small.yaml", out, resume=True)

@@ -277,7 +277,7 @@ def one_field(*_, **__):
 def test_check_plan_library_studies_are_valid(name, monkeypatch):
     """Every level of every key; with TESTBED_STUDIES=1 up to 2,000 points."""
     if not os.environ.get("TESTBED_STUDIES"):
-        monkeypatch.setattr("testbed.studies.plan_check.MAX_CHECKED", 20 if ALL else 8)
+        monkeypatch.setattr("testbed.studies.plan_check.MAX_CHECKED", 20 if ALL else 3)
         monkeypatch.setattr("testbed.plan.air.make_field", one_field)
         if name in ALIKE and not ALL:  # one of them shows that its keys act in a flight
             monkeypatch.setattr("testbed.studies.plan_check.MAX_BUILT", 0)

@@ -11,6 +11,7 @@ from unittest.mock import patch
 import pytest
 from cases import ALL, in_full
 from commands import call_command
+from figure_texts import write_texts
 from small_study import in_this_process
 
 import testbed
@@ -69,7 +70,8 @@ def compare(folder, second, *options, code):
     return call_command("compare", "before", second, *options, cwd=folder, code=code, columns=120)
 
 
-def test_compare_tells_what_got_worse(runs):
+def test_compare_tells_what_got_worse(runs, monkeypatch):
+    write_texts(monkeypatch)
     done = compare(runs, "bad", "--numbers", "--json", "worse.json", code=3)
     assert "worse in the second run, of one flight each" in done.stdout
     assert all(text in done.stdout for text in PRICE)
