@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from places import ROOT
+from scipy.signal import lfilter
 
 import testbed
 from testbed.autopilot.parameters import AutopilotTiming, read_params
@@ -140,9 +141,7 @@ def test_intervals_allow_for_correlated_residuals():
     """Of a mean: residuals with a correlation of 0.95 have an error 6 times that of white noise."""
     rng, means, sigmas = np.random.default_rng(1), [], []
     for _ in range(200):
-        noise = rng.standard_normal(2000)
-        for k in range(1, 2000):
-            noise[k] += 0.95 * noise[k - 1]
+        noise = lfilter([1.0], [1.0, -0.95], rng.standard_normal(2000))
         mean = noise.mean()
         residual = (noise - mean)[:, None]
         sigmas.append(np.sqrt(block_covariance(residual, np.ones((2000, 1, 1)))[0, 0]))

@@ -4,7 +4,7 @@ import json
 from dataclasses import replace
 
 import numpy as np
-from coarse_leaders import coarse_leaders  # noqa: F401 - for all tests
+from cheap_steady_flights import cheap_steady_flights  # noqa: F401 - for all tests
 from commands import call_command, refuse_all
 from figure_texts import write_texts
 from small_study import in_this_process

@@ -4,7 +4,7 @@ import json
 
 import pytest
 from cases import ALL
-from coarse_leaders import coarse_leaders  # noqa: F401 - for all tests
+from cheap_steady_flights import cheap_steady_flights  # noqa: F401 - for all tests
 from commands import call_command, refuse_all
 from figure_texts import write_texts
 from slow_control import RATES

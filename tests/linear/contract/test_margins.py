@@ -10,7 +10,7 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 from cases import ALL, some
-from coarse_leaders import coarse_leaders  # noqa: F401 - for all tests
+from cheap_steady_flights import cheap_steady_flights  # noqa: F401 - for all tests
 from commands import call_command, refuse_all
 from figure_texts import write_texts
 from rich.console import Console

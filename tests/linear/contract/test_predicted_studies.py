@@ -5,7 +5,7 @@ import shlex
 
 import pytest
 import small_study
-from coarse_leaders import coarse_leaders  # noqa: F401 - for all tests
+from cheap_steady_flights import cheap_steady_flights  # noqa: F401 - for all tests
 from commands import call_command
 
 from testbed.core.errors import InputError

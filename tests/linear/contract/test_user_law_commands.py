@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 from cases import ALL, in_full
-from coarse_leaders import coarse_leaders  # noqa: F401 - for all tests
+from cheap_steady_flights import cheap_steady_flights  # noqa: F401 - for all tests
 from commands import call_command
 from figure_texts import write_texts
 from slow_control import RATES

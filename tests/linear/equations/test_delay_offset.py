@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from cases import ALL, some
-from coarse_leaders import coarse_leaders  # noqa: F401 - for all tests
+from cheap_steady_flights import cheap_steady_flights  # noqa: F401 - for all tests
 
 from testbed.linear import delay_flight
 from testbed.linear.delay_flight import (

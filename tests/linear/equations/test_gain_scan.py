@@ -1,7 +1,7 @@
 """Margins with other gains, of one steady flight."""
 
 import pytest
-from coarse_leaders import coarse_leaders  # noqa: F401 - for all tests
+from cheap_steady_flights import cheap_steady_flights  # noqa: F401 - for all tests
 from slow_control import RATES
 
 import testbed

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from coarse_leaders import coarse_leaders  # noqa: F401 - for all tests
+from cheap_steady_flights import cheap_steady_flights  # noqa: F401 - for all tests
 
 from testbed.linear.held_flight import COMMANDS, HeldFlight
 from testbed.linear.limit_cycle import find_limit_cycle, limit_sine

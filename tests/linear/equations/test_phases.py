@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from cases import ALL, in_full
-from coarse_leaders import coarse_leaders  # noqa: F401 - for all tests
+from cheap_steady_flights import cheap_steady_flights  # noqa: F401 - for all tests
 
 from testbed.linear import flown_response, follower_state, period_map, straight_formation
 from testbed.linear.flown_response import fly_response

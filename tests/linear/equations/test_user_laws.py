@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cases import ALL, in_full
-from coarse_leaders import coarse_leaders  # noqa: F401 - for all tests
+from cheap_steady_flights import cheap_steady_flights  # noqa: F401 - for all tests
 from scipy.signal import dlsim
 from slow_control import RATES
 from user_laws import FILTERED
