@@ -20,7 +20,9 @@ from testbed.reports.assessment_page import TITLES
 
 FLIGHT = ("assess", "ideal-figure-eight", "--duration", "20", "--flights", "2")
 FEW = ("nominal", "loss", "leader-silent")  # rows that take least
-BOUNDS = ("--set", "expect.rms_m.max=47")
+SLOW = "rates={physics_hz: 50, autopilot_hz: 50, control_hz: 25, broadcast_hz: 25, log_hz: 25}"
+RATES = () if ALL else ("--set", SLOW)
+BOUNDS = ("--set", "expect.rms_m.max=47", *RATES)
 
 
 class Here:
@@ -130,7 +132,7 @@ def test_a_flight_that_breaks_has_its_command(tmp_path, pool, kept):
 
 def test_a_bound_too_tight_is_a_nominal_row(tmp_path, pool):
     only = [word for name in ("nominal", *CONDITIONS) for word in ("--only", name)]
-    assess(tmp_path, "--set", "expect.rms_m.max=1", *only, code=3)
+    assess(tmp_path, "--set", "expect.rms_m.max=1", *RATES, *only, code=3)
     found = written(tmp_path)
     assert found["verdict"] == "no-go"
     assert found["short"][0]["row"] == "nominal"
@@ -167,7 +169,7 @@ def test_rows_of_a_changed_scenario_are_found_anew(pool, kept):
     folder = kept("nominal", "delay")
     before = written(folder)
     only = ("--only", "nominal", "--only", "delay")
-    assess(folder, "--set", "expect.rms_m.max=46", *only, "--resume")
+    assess(folder, "--set", "expect.rms_m.max=46", *RATES, *only, "--resume")
     assert len(pool.flown) == 2
     assert written(folder)["rows"]["delay"] != before["rows"]["delay"]
 

@@ -57,11 +57,11 @@ def rate_of(delay_s):
     """Return at which rate a small disturbance grows in flight, 1/s."""
     flight = begin(delay_s)
     start, kick = flight.save(), np.zeros((3, 3))
-    still = flight.respond(start, 1000)
+    still = flight.respond(start, 700)
     kick[0] = math.radians(0.02), math.radians(0.02), 3e-4
-    errors = np.abs(flight.respond(start, 1000, kick) - still)[..., 2:].max(axis=(1, 2))
-    early, late = errors[250:500].max(), errors[750:].max()
-    return math.log(late / early) / 20.0
+    errors = np.abs(flight.respond(start, 700, kick) - still)[..., 2:].max(axis=(1, 2))
+    early, late = errors[175:350].max(), errors[525:].max()
+    return math.log(late / early) / 14.0
 
 
 def test_delay_margin_is_that_of_flights(maps, margin):

@@ -79,6 +79,7 @@ def test_compare_tells_what_got_worse(runs, monkeypatch):
     assert worse["left_speed_set"]["before"] == 0.0 < worse["left_speed_set"]["after"]
     drawn = compare(runs, "bad", "--figure", "a.png", code=0).stdout
     assert all(text in drawn for text in PRICE)
+    assert (runs / "a.png").read_text("utf-8").startswith("png ")
 
 
 @pytest.fixture
