@@ -60,6 +60,7 @@ with needs_extra("report", "figures"):
     import matplotlib
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.colors import LogNorm, Normalize
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
@@ -76,6 +77,7 @@ with needs_extra("report", "figures"):
     )
 
 DOTS_PER_INCH = 100  # of the layout
+SVG_DPI = 72.0  # in which Matplotlib draws SVG
 DEFAULT_FONT = "DejaVu Sans"  # comes with Matplotlib
 PNG_DOTS_PER_INCH = 200  # with text of 12 points; more where it is smaller
 LEGEND_IN = 0.35  # height of a legend row, inches
@@ -225,9 +227,14 @@ def figure_svg(grid: PanelGrid) -> str:
     """Draw a figure as SVG text without titles, on a transparent background; text stays text."""
     text = io.StringIO()
     with _settings({**STYLE, "svg.fonttype": "none"}):
-        _figure(grid, titled=False).savefig(
-            text, format="svg", metadata=UNDATED[".svg"], transparent=True
-        )
+        figure = _figure(grid, titled=False)
+        # Matplotlib would draw a figure with a layout twice, first to lay it out.
+        FigureCanvasSVG(figure)
+        figure.dpi = SVG_DPI
+        if (layout := figure.get_layout_engine()) is not None:
+            layout.execute(figure)
+        figure.set_layout_engine(None)
+        figure.savefig(text, format="svg", metadata=UNDATED[".svg"], transparent=True)
     return text.getvalue()
 
 

@@ -28,15 +28,29 @@ FILES = {
 IMPORTS = (ast.Import, ast.ImportFrom)
 
 
+# Of an expression that opens a file; most files have none of these words.
+OPENING = re.compile(r"\bopen\b|\b(?:read|write)_(?:text|bytes)\b")
+
+
 @functools.cache
 def nodes(path):
     """Imports of a file, and calls that open one; all nodes of all files would fill the memory."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    return [
-        each
-        for each in ast.walk(tree)
-        if isinstance(each, IMPORTS) or (isinstance(each, ast.Call) and opens_file(each))
-    ]
+    text = path.read_text(encoding="utf-8")
+    tree = ast.parse(text)
+    found = [each for each in statements(tree) if isinstance(each, IMPORTS)]
+    if OPENING.search(text):
+        calls = (each for each in ast.walk(tree) if isinstance(each, ast.Call))
+        found += [each for each in calls if opens_file(each)]
+    return found
+
+
+def statements(node):
+    """Statements of a module, also those inside of others; an expression has none."""
+    for part in vars(node).values():
+        for each in part if isinstance(part, list) else ():
+            if isinstance(each, ast.stmt | ast.excepthandler | ast.match_case):
+                yield each
+                yield from statements(each)
 
 
 def imports(path):
