@@ -28,8 +28,10 @@ FILES = {
 IMPORTS = (ast.Import, ast.ImportFrom)
 
 
-# Of an expression that opens a file; most files have none of these words.
-OPENING = re.compile(r"\bopen\b|\b(?:read|write)_(?:text|bytes)\b")
+# Fields of a statement that have statements.
+INSIDE = {"body", "orelse", "finalbody", "handlers", "cases"}
+# Of an expression that opens a file; most files have none of them.
+OPENING_WORDS = re.compile(r"\bopen\(|\.(?:read|write)_(?:text|bytes)\b")
 
 
 @functools.cache
@@ -38,7 +40,7 @@ def nodes(path):
     text = path.read_text(encoding="utf-8")
     tree = ast.parse(text)
     found = [each for each in statements(tree) if isinstance(each, IMPORTS)]
-    if OPENING.search(text):
+    if OPENING_WORDS.search(text):
         calls = (each for each in ast.walk(tree) if isinstance(each, ast.Call))
         found += [each for each in calls if opens_file(each)]
     return found
@@ -46,11 +48,13 @@ def nodes(path):
 
 def statements(node):
     """Statements of a module, also those inside of others; an expression has none."""
-    for part in vars(node).values():
-        for each in part if isinstance(part, list) else ():
-            if isinstance(each, ast.stmt | ast.excepthandler | ast.match_case):
-                yield each
-                yield from statements(each)
+    waiting = [node]
+    for each in waiting:
+        for name in INSIDE & vars(each).keys():
+            part = getattr(each, name)
+            if isinstance(part, list):  # the body of a lambda is an expression
+                waiting += part
+    return waiting
 
 
 def imports(path):
