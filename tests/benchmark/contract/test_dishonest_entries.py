@@ -26,7 +26,7 @@ def tasks(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def results(tasks, tmp_path_factory):
-    """Results of an honest law, and of the same law with something added."""
+    """Results of an honest law, and of the same law with something added; all their flights."""
     folder = tmp_path_factory.mktemp("laws")
     words = [
         write_law(folder / "honest.py"),
@@ -42,8 +42,8 @@ def results(tasks, tmp_path_factory):
         settings.append(folder / f"{name}.yaml")
         settings[-1].write_text(f"entry: {{schema: 1, name: {name}}}\n")
     with pytest.MonkeyPatch.context() as patch:
-        fly_alone(patch)
-        return fly(words, folder / "out", tasks, settings=settings), folder
+        here = fly_alone(patch)
+        return fly(words, folder / "out", tasks, settings=settings), folder, here.results
 
 
 def fly_alone(patch):
@@ -266,7 +266,7 @@ def test_a_file_that_changes_meanwhile_fails(results, tasks, tmp_path):
 
 def test_interrupted_flights_go_on(pool, results, tasks):
     """What is kept is not flown again, and the result is that of one go."""
-    whole, folder = results
+    whole, folder, pool.known = results
     word, out = f"{folder}/honest.py:Law", folder / "interrupted"
     pool.most = len(SEEDS) + 1
     with pytest.raises(KeyboardInterrupt):

@@ -22,7 +22,8 @@ from testbed.vehicle.jsbsim_adapter import airframe
 
 PROGRAM = ROOT / "tests" / "shared" / "without_jsbsim.py"
 NAMES = ("uav1", "uav2", "uav3")
-# Writes the same state and messages as `given` does, and prints the commands of some steps.
+# Writes the same state and messages as `given` does, and prints the commands of some steps; then
+# it runs a command that flies.
 STEPS = """
 import json, sys
 import testbed
@@ -45,7 +46,10 @@ for law in sys.argv[3:]:
         commands.append([float(each).hex() for each in control.own["control"]])
     of_laws.append(commands)
 loaded = [name for name in ("jsbsim", "scipy") if name in sys.modules]
-print(json.dumps([of_laws, loaded]))
+print(json.dumps([of_laws, loaded]), flush=True)
+from testbed.cli.entry import main
+sys.argv[1:] = ["trim", "rascal110", "--airspeed", "15"]
+main()
 """
 GIVEN = {
     "times": [0.0, 0.04, 0.08],
@@ -97,13 +101,19 @@ def commands_of_run(law):
     return commands
 
 
-def test_commands_are_those_of_a_run(tmp_path):
-    """To the bit: of the paper's law, and of one in a file of a user's."""
-    own = tmp_path / "law_filtered.py"  # of the name by which other tests have it compiled
+@pytest.fixture(scope="module")
+def aboard(tmp_path_factory):
+    """A process without JSBSim, and the laws whose commands it prints."""
+    # of the name by which other tests have it compiled
+    own = tmp_path_factory.mktemp("aboard") / "law_filtered.py"
     own.write_text(user_laws.FILTERED, "utf-8")
     laws = "hbh23", f"{own}:filtered"
-    done = run_without(STEPS, "simulation-3", json.dumps(GIVEN), *laws)
-    assert done.returncode == 0, done.stderr
+    return run_without(STEPS, "simulation-3", json.dumps(GIVEN), *laws), laws
+
+
+def test_commands_are_those_of_a_run(aboard):
+    """To the bit: of the paper's law, and of one in a file of a user's."""
+    done, laws = aboard
     of_laws, loaded = json.loads(done.stdout)
     assert not loaded
     for law, commands in zip(laws, of_laws, strict=True):
@@ -111,9 +121,8 @@ def test_commands_are_those_of_a_run(tmp_path):
         assert commands == commands_of_run(law), law
 
 
-def test_a_command_that_flies_says_what_is_missing():
-    code = "from testbed.cli.entry import main; main()"
-    done = run_without(code, "trim", "rascal110", "--airspeed", "15")
+def test_a_command_that_flies_says_what_is_missing(aboard):
+    done, _ = aboard
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()
     assert "JSBSim is not installed" in line and "Linux on ARM" in line

@@ -33,7 +33,7 @@ from testbed.mavlink.outgoing import TEXT_BYTES
 from testbed.scenario.companion_flight import CompanionFlight
 
 LOOPBACK = dataclasses.replace(LIMITS, reaches_aircraft=False)
-SEQUENCES = int(os.environ.get("TESTBED_ENGAGEMENTS", "20"))
+SEQUENCES = int(os.environ.get("TESTBED_ENGAGEMENTS", "20" if ALL else "10"))
 RTL = 11
 CASES = [(reason, number) for reason, every in BREAKS.items() for number in range(len(every))]
 # in `make test` one way of each reason: all of them leave an engagement, by the same checks

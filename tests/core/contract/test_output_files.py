@@ -396,16 +396,9 @@ def test_full_errors_have_no_traceback(tmp_path):
     assert forked(tmp_path, ["validate", "missing"], errors_to="/dev/full") == (BAD_INPUT, "")
 
 
-@pytest.mark.parametrize(
-    ("arguments", "redirection", "code", "error"),
-    [
-        (("list",), ">&- 2>&- <&-", 0, ""),
-        ((*TRIM, "--json", "-"), ">&-", BAD_INPUT, "error: --json -: standard output is closed\n"),
-    ],
-    ids=lambda value: str(value) if not isinstance(value, tuple) else value[0],
-)
-def test_closed_stream_has_no_traceback(tmp_path, arguments, redirection, code, error):
-    assert shell(tmp_path, arguments, redirection)[:2] == (code, error)
+def test_closed_stream_has_no_traceback(tmp_path):
+    error = "error: --json -: standard output is closed\n"
+    assert shell(tmp_path, (*TRIM, "--json", "-"), ">&-")[:2] == (BAD_INPUT, error)
 
 
 def test_ascii_output_has_no_traceback(tmp_path):
@@ -416,7 +409,7 @@ def test_ascii_output_has_no_traceback(tmp_path):
 def test_run_with_closed_streams_has_a_whole_log(tmp_path):
     """The log does not get the descriptor of standard error, on which JSBSim prints."""
     flight = ("run", "simulation-3", "--duration=0.2", "--out=out", "--json=x.json")
-    assert shell(tmp_path, flight, ">&- 2>&-")[0] == 0
+    assert shell(tmp_path, flight, ">&- 2>&- <&-")[:2] == (0, "")
     call_command("export", "out", "--format", "csv", cwd=tmp_path, code=0, columns=80)
     assert json.loads((tmp_path / "x.json").read_text())["outcome"] == "completed"
 

@@ -212,9 +212,9 @@ def test_active_circle_follows_its_parameters():
         answers.append(sessions[2].set_parameter("WP_LOITER_RAD", 150.0))
         answers.append(sessions[3].set_parameter("ROLL_LIMIT_DEG", 25.0))
 
-    frames = flown({2.0: away, 20.0: change}, seconds=75.0)
+    frames = flown({2.0: away, 12.0: change}, seconds=60.0)
     assert answers == [None] * 3
-    settled = of([f for f in frames if f.time_s > 60.0], lambda f: f.truth.position_ned)
+    settled = of([f for f in frames if f.time_s > 45.0], lambda f: f.truth.position_ned)
     for row, radius in radii.items():
         distance = np.linalg.norm(settled[:, row, :2] - centres[row], axis=1)
         assert np.abs(distance - radius).max() < 0.12 * radius, row
@@ -418,8 +418,8 @@ def test_scenario_mission_as_items_flies_the_same():
         box["items"] = items
         assert sessions[0].set_mission(items) is None
 
-    uncommanded = flown(seconds=45.0)
-    frames = flown({0.0: again}, seconds=45.0)
+    uncommanded = flown(seconds=35.0)  # beyond the first corner
+    frames = flown({0.0: again}, seconds=35.0)
     error = of(frames, lambda frame: frame.truth.position_ned[0]) - of(
         uncommanded, lambda frame: frame.truth.position_ned[0]
     )
