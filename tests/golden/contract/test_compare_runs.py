@@ -104,7 +104,7 @@ def test_compare_figure_draws_both_errors(log, tmp_path):
     assert len({panel.y_limits for (panel,) in grid.rows}) == 1
 
 
-@pytest.mark.parametrize("ending", ["pdf", "svg", "png"] if ALL else ["svg"])
+@pytest.mark.parametrize("ending", ["pdf", "svg", "png"] if ALL else ["pdf", "svg"])
 def test_compare_figure_is_written(log, tmp_path, ending):
     file = tmp_path / f"a.{ending}"
     done = call_command(
