@@ -25,7 +25,7 @@ class Turn:
     def __init__(self):
         scenario = load_scenario("simulation-3")
         self.flight = HeldFlight(build(steady_scenario(scenario, 45.0, "compiled")))
-        self.flight.fly_to(60.0)
+        self.flight.fly_to(120.0)
         self.start = self.flight.save()
         world = self.flight.world
         limit = world.formation.built_control.config.roll_limit[FOLLOWER]
