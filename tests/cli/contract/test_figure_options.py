@@ -27,19 +27,19 @@ def test_every_command_that_draws_has_the_options():
 
 
 def test_figure_has_width_font_and_labels(tmp_path):
-    """In points, with the letters of the font, and a name of the user's in TeX."""
+    """In points, with the letters of the font, and a name of the user's in TeX.
+
+    Without the options they have other letters: see test_command_writes_figures_1_and_2.
+    """
     (tmp_path / "labels.yaml").write_text("example 2: Beispiel 2\n'μ(z)': $\\mu(z)$\n")
     words = ("law", "--figures", "g", "--format", "svg", "--labels", "labels.yaml")
-    words = (*words, "--width", "3.5", "--no-title")
-    call_command(*words, cwd=tmp_path, code=0, columns=100)
+    words = (*words, "--width", "3.5", "--no-title", "--font", "STIXGeneral")
+    assert call_command(*words, cwd=tmp_path, code=0, columns=100).stderr == ""
     drawn = (tmp_path / "g" / "barriers.svg").read_text("utf-8")
     assert float(re.search(r'width="([\d.]+)pt"', drawn)[1]) == pytest.approx(3.5 * 72, abs=0.5)
     text = (tmp_path / "g" / "control-functions.svg").read_text("utf-8")
     assert "Beispiel 2 -->" in text and "example 2 -->" not in text
-    assert "STIX" not in text
-    words = (*words, "--font", "STIXGeneral")
-    assert call_command(*words, cwd=tmp_path, code=0, columns=100).stderr == ""
-    assert "STIX" in (tmp_path / "g" / "control-functions.svg").read_text("utf-8")
+    assert "STIX" in text
 
 
 def test_missing_font_is_an_error_with_those_there(tmp_path):

@@ -26,6 +26,8 @@ def test_command_writes_figures_1_and_2(tmp_path):
     assert lines[:-1] == TABLE.splitlines() and "2 in drawn" in lines[-1]
     drawn = {path.name for path in (tmp_path / "drawn").iterdir()}
     assert drawn == {"control-functions.svg", "barriers.svg", RECORD_NAME}
+    text = (tmp_path / "drawn" / "control-functions.svg").read_text("utf-8")
+    assert "example 2 -->" in text and "STIX" not in text
 
 
 def test_figures_have_the_paper_s_curves():

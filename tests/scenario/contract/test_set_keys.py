@@ -316,12 +316,13 @@ def test_the_extrapolated_inbox():
 
 
 def test_the_example_flies_in_wind():
-    """Its bounds are those of the airspeed; before, it was 19 to 27 m off."""
-    wind = ["air.wind.speed_mps=8", "air.wind.from_deg=270"]
+    """Its bounds are those of the airspeed; with those of calm air it is 31 to 37 m off."""
+    wind = ["air.wind.speed_mps=8", "air.wind.from_deg=90"]
+    windows = ["scenario.windows={joined: [20, 30]}", "scenario.published=null"]
     result = testbed.run(
-        "own-law-leader-follower", wind, duration_s=120.0, write=False, progress=False
+        "own-law-leader-follower", wind + windows, duration_s=30.0, write=False, progress=False
     )
-    assert max(result.metrics["windows"]["rectangles"]["rms_m"].values()) < 3.0
+    assert max(result.metrics["windows"]["joined"]["rms_m"].values()) < 3.0
 
 
 def test_bounds_of_speeds_in_wind(own_laws):
