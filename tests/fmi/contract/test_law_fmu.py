@@ -92,7 +92,7 @@ def test_fmi_3_equals_fmi_2(logs):
 
 def test_options_are_parameters(laws, logs):
     """A parameter of the FMU has the value of the scenario."""
-    other = fly(laws / "two.yaml", laws, "controller.options.closing=0.31", duration_s=10.0)
+    other = fly(laws / "two.yaml", laws, "controller.options.closing=0.31", duration_s=2.0)
     n = len(other.tick)
     assert not np.array_equal(other.truth.position_ned, logs[1].truth.position_ned[:n])
 
@@ -113,10 +113,10 @@ def test_restored_flight_repeats_to_the_bit(laws):
 def test_batch_flies_as_run(laws):
     """Rows with lost messages, in two threads, equal flights alone."""
     changes = ["network.loss=0.2"]
-    batch = testbed.Batch(laws / "three.yaml", changes, seeds=[1, 2, 1], threads=2, duration_s=8.0)
+    batch = testbed.Batch(laws / "three.yaml", changes, seeds=[1, 2, 1], threads=2, duration_s=4.0)
     metrics = batch.run()
     alone = [
-        testbed.run(laws / "three.yaml", changes, seed=k, duration_s=8.0, write=False).metrics
+        testbed.run(laws / "three.yaml", changes, seed=k, duration_s=4.0, write=False).metrics
         for k in (1, 2)
     ]
     ours = [each["max_error_m"] for each in metrics]
@@ -126,7 +126,7 @@ def test_batch_flies_as_run(laws):
 
 def test_without_state_flies_and_is_not_saved(laws, logs):
     """It flies as the one with a state; save and Batch name the file and the flag."""
-    log = fly(laws / "stateless.yaml", laws, duration_s=10.0)
+    log = fly(laws / "stateless.yaml", laws, duration_s=4.0)
     n = len(log.tick)
     assert np.array_equal(log.truth.position_ned, logs[1].truth.position_ned[:n], equal_nan=True)
     with testbed.Simulation(laws / "stateless.yaml") as simulation:
@@ -172,16 +172,16 @@ def test_error_in_flight_names_fmu_and_follower(tmp_path):
 def test_crash_leaves_a_complete_log(tmp_path):
     """A segmentation fault is an error with the FMU's name; the log ends before that step."""
     need_compiler()
-    file = write_law(tmp_path, "crashing", "CRASH_S=5.0")
-    text = r"crashing\.fmu: uav1 at 5\.04 s: crashed \(SIGSEGV\) in the call to step"
+    file = write_law(tmp_path, "crashing", "CRASH_S=2.0")
+    text = r"crashing\.fmu: uav1 at 2\.04 s: crashed \(SIGSEGV\) in the call to step"
     with pytest.raises(FlightError, match=text):
-        testbed.run(file, duration_s=10.0, out=tmp_path / "cut")
-    result = run_task(FlightTask(0, set_duration(load_scenario(file), 6.0)))  # of a study
+        testbed.run(file, duration_s=3.0, out=tmp_path / "cut")
+    result = run_task(FlightTask(0, set_duration(load_scenario(file), 3.0)))  # of a study
     assert result.outcome == "failed" and re.search(text, result.error)
     log = read_log(tmp_path / "cut" / "run.mcap")
-    assert log.finished and log.time_s[-1] == pytest.approx(5.0, abs=0.1)
+    assert log.finished and log.time_s[-1] == pytest.approx(2.0, abs=0.1)
     assert log.metrics["outcome"] == "failed"
-    whole = fly(write_law(tmp_path, "sound"), tmp_path, duration_s=6.0)
+    whole = fly(write_law(tmp_path, "sound"), tmp_path, duration_s=2.2)
     n = len(log.tick)
     assert np.array_equal(log.truth.position_ned, whole.truth.position_ned[:n])
 
