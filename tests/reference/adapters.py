@@ -499,7 +499,8 @@ def follow(records, motion, slots_now, q, velocity, s):
         (M n,) of FOLLOWED.
     """
     out = np.zeros(len(s), FOLLOWED)
-    _follow(*records, motion, slots_now, q, velocity, s, out)
+    # numba would compile the kernel again for arrays in another order
+    _follow(*records, motion, slots_now, *map(np.ascontiguousarray, (q, velocity)), s, out)
     return out
 
 

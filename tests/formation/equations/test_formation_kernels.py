@@ -51,7 +51,7 @@ BARRIERS = [
     SpeedBarrier(7, 0.0),
 ]
 # times four choices that all agents share: some thousand states of agents
-AGENTS, STATES = 8, 100 if ALL else 40
+AGENTS, STATES = 16, 50 if ALL else 20
 # The two take the same sums in other orders, so they differ by roundings of 1e-16, which (14)
 # magnifies by 1/D, and example 5 by 1/(1 − tanh²), some 1e3 at 34 m/s.
 TOLERANCE = 1e-11
@@ -116,16 +116,16 @@ def test_the_formation_law():
             known_messages += int((fresh & ~placed[:, 1:]).sum())
     # the states reach every branch
     assert seen == sum(OF_LAW) - LimiterFlag.SPEED_COMMAND_CLIPPED
-    assert min(timed_out, held, dropped, messages, known_messages) > STATES
+    assert min(timed_out, held, dropped, messages, known_messages) > 2 * STATES
 
 
 def test_a_law_of_some_of_the_agents():
     """Agents that step apart from the others know the same, and more aircraft than they are."""
     rng = np.random.default_rng(43)
-    for _ in range(50):
+    for _ in range(25):
         law = make_law(AGENTS, rng, **mixed_options(AGENTS, rng))
         own, inbox, memory = states(AGENTS, rng, never=0.1, old=0.1)
-        rows = rng.permutation(AGENTS)[:3]
+        rows = rng.permutation(AGENTS)[:6]
         part = some_of(law, rows)
         args = (part, 100.0, *(choose(each, rows) for each in (own, inbox, memory)))
         compare(results(hbh23_step(*args)), results(adapters.hbh23_step(*args)))
