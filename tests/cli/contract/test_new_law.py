@@ -54,8 +54,9 @@ def test_new_notebook_runs_from_law_to_figure(folder, monkeypatch, capsys):
     monkeypatch.chdir(folder / "mine")
     if not ALL:
         scenario = folder / "mine" / "mine.yaml"
-        assert scenario.read_text().count("330") == 3
-        text = scenario.read_text().replace("330", "110")
+        text = scenario.read_text()
+        assert text.count("330") == 3 and text.count("[95, ") == 1
+        text = text.replace("330", "45").replace("[95, ", "[30, ")
         scenario.write_text(f"{text}\nrates: {{control_hz: 10, broadcast_hz: 10}}\n")
     notebook = json.loads((folder / "mine" / "mine.ipynb").read_text())
     names: dict[str, object] = {}

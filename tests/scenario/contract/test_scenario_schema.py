@@ -15,6 +15,7 @@ import pytest
 import yaml
 from cases import some
 from places import TESTS
+from run_flight import small_grids
 from snapshot import check_snapshot
 
 from testbed.core.numbers import SMALLEST
@@ -203,7 +204,8 @@ def test_other_kinds_are_read_in_full(other):
         assert found[name] == value
 
 
-def test_full_fixture_can_be_built():
+def test_full_fixture_can_be_built(monkeypatch):
+    small_grids(monkeypatch)  # of its turbulence, in which nothing flies here
     # a Rascal has no battery and burns no fuel
     fuel = ["leader.battery=null", "fleet.uav1.battery=null"]
     fuel += ["fleet.uav1.fuel_burn=false"]
