@@ -15,6 +15,7 @@ from aircraft_copies import changed
 from commands import call_command
 from fmi2_importer import DISCARD, ERROR, MAC, Archive, Instance
 from places import ROOT
+from run_flight import small_grids
 
 import testbed
 from testbed.core.errors import InputError
@@ -105,7 +106,8 @@ def fly_beside(instance, aircraft, seconds):
 
 
 @pytest.mark.parametrize("air", [None, COHERENT], ids=["calm", "turbulence"])
-def test_numbers_are_those_of_the_testbed(archive, air):
+def test_numbers_are_those_of_the_testbed(archive, air, monkeypatch):
+    small_grids(monkeypatch)  # the FMU is given the wind of a field of any size
     aircraft = testbed.Aircraft("rascal110", airspeed_mps=20.0, air=air)
     instance = Instance(archive).begin()
     names = archive.outputs()
