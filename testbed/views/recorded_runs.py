@@ -9,18 +9,21 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from testbed.core.errors import InputError
 from testbed.core.files import write_file
 from testbed.core.records import Event
-from testbed.logs.read import RunLog
 from testbed.views.layout import PLOT_AHEAD_S, PLOT_WINDOW_S, fit_formation
 from testbed.views.sample_columns import ViewBatch, batch_of, overlay, split
 from testbed.views.scene import Scene, overlay_scenes, scene_of
 from testbed.views.view import ViewSink, ViewTarget
 from testbed.views.viewer import headless_viewer
+
+if TYPE_CHECKING:  # reading logs loads scenarios, which the process of a live view does not need
+    from testbed.logs.read import RunLog
 
 BATCH_SAMPLES = 1000
 LABELS = ("A", "B")  # of two runs
