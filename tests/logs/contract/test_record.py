@@ -38,12 +38,14 @@ from testbed.metrics.observer import MetricsObserver
 from testbed.scenario import load_scenario
 
 CHUNK = block_samples(4)
+SMALL = 40  # samples of `small_chunks`
 
 
 @pytest.fixture
-def full_chunks(monkeypatch):
-    """Write only full chunks, also on a slow machine."""
+def small_chunks(monkeypatch):
+    """Write only full chunks, also on a slow machine, and of few samples."""
     monkeypatch.setattr(recorder, "FLUSH_S", 3600.0)
+    monkeypatch.setattr(core_samples, "_BLOCK_AIRCRAFT_SAMPLES", 4 * SMALL)
 
 
 @pytest.mark.parametrize(
@@ -257,19 +259,19 @@ def test_transforms_rotate_body_to_ned_and_ned_to_enu(tmp_path):
     np.testing.assert_allclose(north_east_down, east_north_up, atol=1e-15)
 
 
-@pytest.mark.usefixtures("full_chunks")
+@pytest.mark.usefixtures("small_chunks")
 def test_estimate_written_only_in_chunks_that_differ(tmp_path):
-    path = record(tmp_path / "run.mcap", run_samples(3 * CHUNK, noisy_from=2 * CHUNK + 20))
+    path = record(tmp_path / "run.mcap", run_samples(3 * SMALL, noisy_from=2 * SMALL + 20))
     topics = [topic for topic, _, _ in decoded(path)]
-    assert topics.count("/uav1/state") == 3 * CHUNK
+    assert topics.count("/uav1/state") == 3 * SMALL
     # the chunk in which the estimates begin to differ
-    assert topics.count("/uav1/estimate") == topics.count("/uav1/estimated_error") == CHUNK
+    assert topics.count("/uav1/estimate") == topics.count("/uav1/estimated_error") == SMALL
 
 
 def test_estimated_error_written_only_if_different(tmp_path):
     # an airspeed error changes no position
     seen = []
-    for sample in run_samples(CHUNK):
+    for sample in run_samples(SMALL):
         estimate = sample.truth._replace(airspeed=sample.truth.airspeed + 1.0)
         seen.append(sample._replace(estimate=estimate))
     path = record(tmp_path / "run.mcap", seen)
@@ -304,17 +306,17 @@ def test_nan_estimates_read_back(tmp_path):
         assert_same_sample(one, other)
 
 
-@pytest.mark.usefixtures("full_chunks")
+@pytest.mark.usefixtures("small_chunks")
 def test_network_written_from_first_loss_on(tmp_path):
-    seen = list(run_samples(3 * CHUNK, lossy_from=CHUNK + 20))
+    seen = list(run_samples(3 * SMALL, lossy_from=SMALL + 20))
     path = record(tmp_path / "run.mcap", seen)
     topics = [topic for topic, _, _ in decoded(path)]
-    assert topics.count("/uav1/network") == topics.count("/uav3/network") == 2 * CHUNK
+    assert topics.count("/uav1/network") == topics.count("/uav3/network") == 2 * SMALL
     assert "/leader/network" not in topics
     for k, (ours, theirs) in enumerate(zip(seen, samples(read_log(path)), strict=True)):
         for before, after in zip(ours.links, theirs.links, strict=True):
             assert after.dtype == np.uint32
-            assert np.array_equal(after, before if k >= CHUNK else np.zeros((3, 4)))
+            assert np.array_equal(after, before if k >= SMALL else np.zeros((3, 4)))
 
 
 def test_network_without_loss_not_written(tmp_path):
@@ -323,7 +325,7 @@ def test_network_without_loss_not_written(tmp_path):
     assert not np.any(read_log(path).links)
 
 
-@pytest.mark.usefixtures("full_chunks")
+@pytest.mark.usefixtures("small_chunks")
 def test_same_run_gives_same_bytes(tmp_path):
     (tmp_path / "other").mkdir()
     some = [event(9)]
@@ -333,33 +335,33 @@ def test_same_run_gives_same_bytes(tmp_path):
     assert one.read_bytes() == two.read_bytes()
 
 
-@pytest.mark.usefixtures("full_chunks")
+@pytest.mark.usefixtures("small_chunks")
 def test_overwritten_samples_do_not_change_log(tmp_path):
     info = run_info()
     log, live = McapRecorder(tmp_path / "lent.mcap"), MetricsObserver()
     for observer in (log, live):
         assert observer.zero_copy
         observer.begin(info)
-    for sample in run_samples(300, noisy_from=200):
+    for sample in run_samples(100, noisy_from=70):
         for observer in (log, live):
             observer.observe(sample)
         for name in RECORDS:
             for array in getattr(sample, name):
                 array[...] = 0
     log.end({"outcome": "completed", "wall_s": 1.5}, ())
-    kept = record(tmp_path / "kept.mcap", run_samples(300, noisy_from=200))
+    kept = record(tmp_path / "kept.mcap", run_samples(100, noisy_from=70))
     assert (tmp_path / "lent.mcap").read_bytes() == kept.read_bytes()
     again = MetricsObserver()
     again.begin(info)
-    for sample in run_samples(300, noisy_from=200):
+    for sample in run_samples(100, noisy_from=70):
         again.observe(sample)
     assert live.summary() == again.summary()
 
 
-@pytest.mark.usefixtures("full_chunks")
+@pytest.mark.usefixtures("small_chunks")
 def test_message_index_finds_every_message(tmp_path):
-    some = [event(k) for k in (0, 3, 3, CHUNK, CHUNK + 1)]
-    seen = run_samples(CHUNK + 60, noisy_from=CHUNK, lossy_from=7, events=some)
+    some = [event(k) for k in (0, 3, 3, SMALL, SMALL + 1)]
+    seen = run_samples(SMALL + 30, noisy_from=SMALL, lossy_from=7, events=some)
     data = record(tmp_path / "run.mcap", seen).read_bytes()
     head = struct.Struct("<BQHIQQ")  # of a message: opcode, length, channel, sequence, times
     found = {}
@@ -388,12 +390,12 @@ def test_message_index_finds_every_message(tmp_path):
 def test_slow_clock_gives_the_same_bytes(tmp_path, monkeypatch, late_s):
     """Also where a topic begins within a chunk; the tail has what the log lacks, to the bit."""
     monkeypatch.setattr(core_samples, "_BLOCK_AIRCRAFT_SAMPLES", 4 * 20)
-    changes = {"noisy_from": 27, "lossy_from": 45, "events": [event(1), event(50)]}
-    fast = record(tmp_path / "fast.mcap", run_samples(70, **changes))
+    changes = {"noisy_from": 27, "lossy_from": 45, "events": [event(1), event(48)]}
+    fast = record(tmp_path / "fast.mcap", run_samples(52, **changes))
     monkeypatch.setattr(recorder, "FLUSH_S", late_s)  # every sample is late, or most are
     slow = McapRecorder(tmp_path / "slow.mcap")
     slow.begin(run_info())
-    for number, sample in enumerate(run_samples(70, **changes), 1):
+    for number, sample in enumerate(run_samples(52, **changes), 1):
         slow.observe(sample)
         if late_s > 0.0:
             time.sleep(0.001)
@@ -417,12 +419,14 @@ def two_tails(tmp_path_factory):
     """Two logs that are written, of 25 samples in chunks of 20, each with its tail: bytes."""
     folder, found = tmp_path_factory.mktemp("tails"), []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(recorder, "FLUSH_S", -1.0)
         patch.setattr(core_samples, "_BLOCK_AIRCRAFT_SAMPLES", 4 * 20)
         for name in "ab":
+            patch.setattr(recorder, "FLUSH_S", 3600.0)
             log = McapRecorder(folder / f"{name}.mcap")
             log.begin(run_info(make_yaml=lambda: f"scenario: {{name: {name}}}\n"))  # noqa: B023
-            for sample in run_samples(25):
+            for number, sample in enumerate(run_samples(25), 1):
+                if number == 25:  # which writes the tail, with all samples since the chunk
+                    patch.setattr(recorder, "FLUSH_S", -1.0)
                 log.observe(sample)
             found.append((log.path.read_bytes(), tail_path(log.path).read_bytes()))
             log.close()
@@ -482,12 +486,12 @@ def test_cut_log_gives_complete_chunks(tmp_path):
     assert (counts[0], counts[-1]) == (0, 160)
 
 
-@pytest.mark.usefixtures("full_chunks")
+@pytest.mark.usefixtures("small_chunks")
 def test_full_disk_raises_and_leaves_readable_log(tmp_path):
     path = tmp_path / "run.mcap"
     log = McapRecorder(path)
     log.begin(run_info())
-    with full_disk(1_000_000):
+    with full_disk(200_000):
         with pytest.raises(LogError, match=r"run\.mcap: cannot write the log"):
             for sample in run_samples(2000):
                 log.observe(sample)
@@ -495,7 +499,7 @@ def test_full_disk_raises_and_leaves_readable_log(tmp_path):
     back = read_log(path)
     assert not back.finished
     assert back.lost_bytes == 0
-    assert back.tick.size % CHUNK == 0
+    assert back.tick.size % SMALL == 0
     assert back.tick.size > 0
 
 
