@@ -54,6 +54,7 @@ for line in sys.stdin:
         code = build.main()
     print(json.dumps([code, said.getvalue(), sorted(sys.modules)]), flush=True)
 """
+SOURCES = "https://git.example/group/testbed"
 CONFIG = """
 [project]
 site_name = "pages"
@@ -147,7 +148,7 @@ def repository(tmp_path_factory):
 def site(build, repository, tmp_path_factory):
     """Where the site is, built strictly, and the modules that were loaded for it."""
     place = tmp_path_factory.mktemp("site")
-    code, errors, modules = build(repository, place)
+    code, errors, modules = build(repository, place, SOURCES)
     assert code == 0, errors
     return place / "site", set(modules)
 
@@ -337,6 +338,7 @@ def test_missing_parts_of_pages_are_errors(build, small):
     code, errors, _ = build(small, small / "build")
     assert code == 2 and "Traceback" not in errors
     assert "index.md:3" in errors and "index.md:5" in errors
+    assert "repo_url" not in (small / "build/zensical.toml").read_text()
 
 
 def test_navigation_and_pages_must_agree(build, small):
@@ -350,13 +352,11 @@ def test_navigation_and_pages_must_agree(build, small):
     assert (code, "nav has other.md: no page" in errors) == (2, True)
 
 
-def test_pages_link_to_the_repository_if_it_is_known(build, small, site):
-    assert "md-source__repository" not in (site[0] / "index.html").read_text(encoding="utf-8")
-    repository = "https://git.example/group/testbed"
-    code, errors, _ = build(small, small / "build", repository)
-    assert code == 0, errors
-    text = (small / "build/site/index.html").read_text(encoding="utf-8")
-    assert "md-source__repository" in text and repository in Page(text).links
+def test_pages_link_to_the_repository_if_it_is_known(site, pages):
+    """Where it is not, the configuration has none: `test_missing_parts_of_pages_are_errors`."""
+    text = (site[0] / "index.html").read_text(encoding="utf-8")
+    assert "md-source__repository" in text
+    assert all(SOURCES in page.links for page in pages.values())
 
 
 def test_search_has_every_page(site, pages):
