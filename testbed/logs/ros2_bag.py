@@ -163,9 +163,7 @@ def marker(
     deleted = kind == "DELETE"
     size = width if kind.startswith("LINE") else 1.0
     shades = (
-        {}
-        if colours is None
-        else {each: _colour(each) for each in {*map(tuple, colours.tolist())}}
+        {} if colours is None else {each: _colour(each) for each in {*map(tuple, colours.tolist())}}
     )
     return message(
         "visualization_msgs/Marker",

@@ -34,7 +34,7 @@ COMMANDS = (
     ("prune", "logs", "--keep=1", "--yes"),
     ("prune", "logs", "--size=0kB", "--yes"),
 )
-# They draw, after they have read the run as `compare` does, or read what others above read: for some
+# They draw, after they have read the run as `compare` does, or read what others read: for some
 # of the pipes only.
 READ_ALIKE = {
     ("compare", "{run}", "whole", "--rrd=it.rrd"),
@@ -47,7 +47,7 @@ READ_ALIKE = {
 }
 PIPES = (
     *(LOG_NAME, METRICS_NAME, SCENARIO_NAME, RECORD_NAME, TAIL_NAME),
-    *some(("law.py", "report.html", "run.csv", "study.parquet"), 1),
+    *some(("law.py", "report.html", "run.csv", "study.parquet"), 2),
 )
 
 

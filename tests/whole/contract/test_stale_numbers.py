@@ -65,7 +65,7 @@ def test_no_number_is_older_than_its_inputs(stale, monkeypatch):
 
     In `make test` markers of all pages and digests of some; a release refuses those of any page.
     """
-    found = stale.find_stale(None if ALL else some(stale.pages(), 6))
+    found = stale.find_stale(None if ALL else some(stale.pages(), 12))
     with monkeypatch.context() as patch:
         patch.setattr(stale, "_digests", lambda inputs: {})
         patch.setattr(stale, "changed", lambda *digests: ())
