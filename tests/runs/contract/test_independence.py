@@ -22,7 +22,7 @@ from testbed.scenario import dump, load_scenario, loads
 
 # Everything that draws from a seed: turbulence, sensors, a radio that loses, delays and repeats.
 BUSY = [
-    "scenario.duration_s=2.2",
+    "scenario.duration_s=3",
     "scenario.windows=null",
     "scenario.published=null",
     "air.wind={speed_mps: 4, from_deg: 30}",
