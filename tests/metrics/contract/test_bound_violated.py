@@ -5,15 +5,24 @@ import json
 import pytest
 
 import testbed
+from testbed.metrics import accumulator
 from testbed.metrics.document import BOUND_VIOLATED
 
 WALL_CLOCK = ("wall_s", "real_time_factor")
 STOP = "limits.on_violation=stop"
-PUBLISHED, WINDOW = "scenario.published=null", "scenario.windows={late: [20, 65]}"
+PUBLISHED, WINDOW = "scenario.published=null", "scenario.windows={late: [5, 20]}"
 BROKEN = [PUBLISHED, WINDOW, "expect.max_error_m.max=0.01", STOP]
 
 
-def fly(*overrides, duration_s=70.0):
+@pytest.fixture(scope="module", autouse=True)
+def short_spans():
+    """Bounds are looked at every 10 s in place of 40, as often as samples are summed."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(accumulator, "SPAN", accumulator.SPAN // 4)
+        yield
+
+
+def fly(*overrides, duration_s=22.0):
     settings = [PUBLISHED, WINDOW, *overrides]
     return testbed.Batch("simulation-3", settings, duration_s=duration_s, threads=1).run()[0]
 
@@ -64,7 +73,7 @@ def test_only_a_bound_beyond_the_whole_flight_ends_it(whole, quantity, side):
     assert {key: kept[key] for key in timeless(whole)} == timeless(whole)
     ended = fly(f"expect.{quantity}.{side}={far!r}", STOP)
     assert ended["outcome"] == BOUND_VIOLATED
-    assert ended["simulated_s"] < 60.0
+    assert ended["simulated_s"] < 18.0
     assert ended["expect"]["violated"] > 0
 
 
@@ -72,27 +81,27 @@ def test_only_a_bound_beyond_the_whole_flight_ends_it(whole, quantity, side):
 def test_a_number_that_may_still_change_ends_nothing(quantity, side):
     metrics = fly(f"expect.{quantity}.{side}={1e3 if side == 'min' else 0.1}", STOP)
     assert metrics["outcome"] == "completed"
-    assert metrics["simulated_s"] == 70.0
+    assert metrics["simulated_s"] == 22.0
     assert metrics["expect"]["violated"]
 
 
 def test_run_ends_with_the_code_of_a_violation(tmp_path):
     settings = [*BROKEN, "log.mcap=false"]
-    run = testbed.run("simulation-3", settings, duration_s=90.0, out=tmp_path / "run")
+    run = testbed.run("simulation-3", settings, duration_s=30.0, out=tmp_path / "run")
     assert (run.outcome, run.exit_code) == (BOUND_VIOLATED, 3)
     written = json.loads((tmp_path / "run" / "metrics.json").read_text())
     assert written["outcome"] == BOUND_VIOLATED
-    assert written["simulated_s"] < 90.0
+    assert written["simulated_s"] < 30.0
 
 
 def test_a_simulation_ends_and_begins_again():
-    with testbed.Simulation("simulation-3", BROKEN, duration_s=90.0) as simulation:
+    with testbed.Simulation("simulation-3", BROKEN, duration_s=30.0) as simulation:
         for _ in range(2):
             simulation.reset()
             while simulation.outcome is None:
-                simulation.step(until=simulation.time_s + 10.0)
+                simulation.step(until=simulation.time_s + 2.5)
             assert simulation.outcome == BOUND_VIOLATED
-            assert 40.0 < simulation.time_s < 60.0
+            assert 10.0 < simulation.time_s < 18.0
 
 
 def test_a_limit_exceeded_before_is_the_outcome():
@@ -102,7 +111,7 @@ def test_a_limit_exceeded_before_is_the_outcome():
 
 def test_a_batch_returns_to_its_start():
     settings = [*BROKEN, "network.loss=0.2"]
-    batch = testbed.Batch("simulation-3", settings, duration_s=90.0, threads=1)
+    batch = testbed.Batch("simulation-3", settings, duration_s=30.0, threads=1)
     (first,) = batch.run()
     for seed in (2, 1):
         batch.reset(seeds=[seed])

@@ -21,12 +21,20 @@ from testbed.core.records import (
     Sample,
     VehicleState,
 )
-from testbed.metrics.accumulator import SPAN
+from testbed.metrics import accumulator
 from testbed.metrics.facts import describe_wind
 from testbed.metrics.observer import MetricsObserver
 
 BASE_RATE_HZ, FRAME_RATE_HZ = 200, 25
+SPAN = 256  # samples that are summed together here: longer than a block of 200, too
 LONGEST = 3 * SPAN + 17  # samples of a random run
+
+
+@pytest.fixture(autouse=True)
+def short_spans(monkeypatch):
+    """Four times as many samples take as much longer to make."""
+    assert accumulator.SPAN > SPAN
+    monkeypatch.setattr(accumulator, "SPAN", SPAN)
 
 
 def run_info(followers=2, windows=None):
@@ -235,7 +243,7 @@ def test_lost_leader_ends_errors_of_followers():
     assert summary["recovery"]["uav1"]["in_slot_since_s"] is None
 
 
-@pytest.mark.parametrize("at", [300, SPAN - 1, SPAN])
+@pytest.mark.parametrize("at", [230, SPAN - 1, SPAN])
 def test_separation_includes_the_sample_of_a_loss(at):
     """A collision counts, wreckage on the ground does not."""
     # uav2, 28 m from uav1, comes to 3 m and is lost by that; then others fly over it at 1 m

@@ -4,11 +4,19 @@ import math
 
 import numpy as np
 import pytest
-from test_metrics import FRAME_RATE_HZ, make_sample, measure, random_run, run_info
+from test_metrics import (
+    FRAME_RATE_HZ,
+    SPAN,
+    make_sample,
+    measure,
+    random_run,
+    run_info,
+    short_spans,
+)
 
-from testbed.metrics.accumulator import SPAN
 from testbed.metrics.facts import describe_estimates, exact
 
+assert short_spans  # a fixture
 KINDS = ("horizontal_m", "height_m", "velocity_mps", "tilt_deg", "heading_deg", "airspeed_mps")
 
 

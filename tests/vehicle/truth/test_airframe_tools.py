@@ -6,6 +6,7 @@ import os
 import re
 import sys
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -298,17 +299,23 @@ def assert_prony(signal, dt, order, expected, tolerance):
     assert abs(nearest - expected) < tolerance * abs(expected)
 
 
-def test_speed_model_equals_the_linear_aircraft():
-    """Level flight with throttle by feed-forward and P: one pole, X_T (dη/dV + k_sp).
-
-    X_T is the acceleration by throttle, dη/dV the slope of the throttle that level flight needs.
-    """
+@cache
+def pure_step():
+    """Step of 0.2 m/s of level flight with throttle by feed-forward and P, and its profile."""
     firm = load_middle_loop(RASCAL, "rms").flight_path  # holds level flight best
     profile = load_middle_loop(RASCAL, "authors")
     speed = profile.speed.model_copy(update={"i": 0.0})
     pure = profile.model_copy(update={"speed": speed, "flight_path": firm})
     params = read_params(RASCAL / "autopilot.param")
-    flown = speed_step(RASCAL, pure, params, airspeed=22.0, step=0.2)
+    return pure, speed_step(RASCAL, pure, params, airspeed=22.0, step=0.2)
+
+
+def test_speed_model_equals_the_linear_aircraft():
+    """Level flight with throttle by feed-forward and P: one pole, X_T (dη/dV + k_sp).
+
+    X_T is the acceleration by throttle, dη/dV the slope of the throttle that level flight needs.
+    """
+    pure, flown = pure_step()
     linear = linearize_aircraft(RASCAL, LEVEL, HIGH)
     u, n, throttle = STATES.index("u"), STATES.index("n"), CONTROLS.index("throttle")
     # The propeller, at 9 per second, follows at once.

@@ -45,10 +45,10 @@ GRAVITY = 9.800  # m/s², at 38° N
 LEFT, RIGHT = SURFACES.index("left-elevon"), SURFACES.index("right-elevon")
 
 
-def actuate(vehicles):
-    """One period of the autopilots, and of what has failed."""
+def period_of(vehicles):
+    """The steps of one period of the autopilots, and of what has failed."""
     steps = vehicles.fault_steps(floating=True)
-    run_steps((*vehicles.autopilot_steps, *steps, *vehicles.output_steps), 0.0)
+    return *vehicles.autopilot_steps, *steps, *vehicles.output_steps
 
 
 class Flight:
@@ -59,6 +59,7 @@ class Flight:
         self.aircraft = allocate(AIRCRAFT, n) if aircraft is None else aircraft
         self.rows = np.arange(n) if rows is None else np.array(rows)
         self.fleet, self.vehicles = fleet, JsbsimVehicles(fleet, gains, self.aircraft, self.rows)
+        self._period = period_of(self.vehicles)
 
     def _copied(self, kind, name):
         records = fields_of(kind, self.aircraft[name])
@@ -80,7 +81,12 @@ class Flight:
         write_fields(aircraft["estimate"], estimate)
         write_fields(aircraft["command"], command)
         write_fields(aircraft["faults"], failing)
-        actuate(self.vehicles)
+        run_steps(self._period, 0.0)
+
+    def control_again(self):
+        """One more period with the same command and faults, by the truth."""
+        self.aircraft["estimate"] = self.aircraft["truth"]
+        run_steps(self._period, 0.0)
 
     def step(self, ticks):
         self.vehicles.step(ticks, None)
@@ -120,8 +126,11 @@ def told(roll_deg, pitch_deg, throttle, n=1):
 
 
 def fly(vehicles, failing, command, seconds, each=None):
-    for _ in range(round(seconds / PERIOD)):
-        vehicles.control(vehicles.read(), command, failing)
+    for number in range(round(seconds / PERIOD)):
+        if number:
+            vehicles.control_again()
+        else:
+            vehicles.control(vehicles.read(), command, failing)
         vehicles.step(TICKS)
         if each is not None:
             each()
@@ -522,7 +531,7 @@ def test_faults_and_losses_among_kinds_of_vehicles() -> None:
     failing.power[2] = 0.0
     write_fields(aircraft["faults"], failing)
     for each in parts:
-        actuate(each)
+        run_steps(period_of(each), 0.0)
     throttle = aircraft["surfaces"]["throttle"]
     assert throttle[0] > 0.0 and throttle[2] == 0.0
     lost = np.array([False, True, True])

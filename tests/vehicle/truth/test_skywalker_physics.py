@@ -5,16 +5,14 @@ The coefficients are those of Gryte et al., ICUAS 2018; aircraft/skywalker_x8/SO
 
 import inspect
 import math
-import os
-import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from aircraft_copies import changed
+from forked import run_program
 from places import ROOT
-from waiting import TIMEOUT_S
 
 from testbed.autopilot.fbwa import settled_autopilots, step_autopilots
 from testbed.autopilot.parameters import make_gains, read_params
@@ -283,19 +281,12 @@ def test_trims_and_flights_repeat_to_the_bit(tmp_path: Path) -> None:
         "fdm = fleet.bare_runs()[0].__self__\n"
         "print(fleet.trims[0], fleet.read(), fdm['battery/state-of-charge'])\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", flight],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"},
-        capture_output=True,
-        text=True,
-        timeout=TIMEOUT_S,
-    )
+    code, output, errors = run_program(flight, folder=tmp_path)
     fleet = _fleet(InitialState((0.0, 0.0, -100.0), airspeed=18.0, bank=0.3))
     fleet.step(fleet.trimmed, 100)
     charge = fleet.bare_runs()[0].__self__["battery/state-of-charge"]
-    assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout == f"{fleet.trims[0]} {fleet.read()} {charge}\n"
+    assert (code, errors) == (0, "")
+    assert output == f"{fleet.trims[0]} {fleet.read()} {charge}\n"
     assert list(tmp_path.iterdir()) == []
 
 
