@@ -9,6 +9,7 @@ import signal
 import socket
 import subprocess
 from contextlib import suppress
+from functools import cache
 
 import numpy as np
 import pytest
@@ -54,12 +55,17 @@ def fingerprint(frames):
     return digest.hexdigest()
 
 
+@cache
+def mixed_flight():
+    """Fly a second by an ArduPlane and a virtual autopilot, once."""
+    return fly(make_scenario(1.0))
+
+
 def test_mixed_flight_repeats_to_the_bit(binary, monkeypatch):
     """Also if an answer to ArduPlane is lost, which asks for it again."""
-    mixed = make_scenario(1.0)
-    first = fly(mixed)
+    first = mixed_flight()
     monkeypatch.setenv("ARDUPLANE_STAND_IN", f"resend@{SOON}")
-    assert fingerprint(first) == fingerprint(fly(mixed))
+    assert fingerprint(first) == fingerprint(fly(make_scenario(1.0)))
     # its servo pulses are whole µs: 500 are full deflection
     pulses = 500.0 * np.array([frame.surfaces.aileron for frame in first[1:]])
     assert np.abs(pulses[:, 0] - np.rint(pulses[:, 0])).max() < 1e-9
@@ -127,7 +133,7 @@ def rms(frames, begin, end):
 
 
 def test_32_outputs_and_overrides_fly_the_same(binary, monkeypatch):
-    plain = fly(make_scenario(1.0))[-1].truth
+    plain = mixed_flight()[-1].truth
     monkeypatch.setenv("ARDUPLANE_STAND_IN", "outputs32 ignores-rc")
     frames = fly(make_scenario(1.0))
     events = [each.text for frame in frames for each in frame.events]

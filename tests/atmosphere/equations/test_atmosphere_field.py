@@ -49,18 +49,19 @@ def level(course):
 
 
 @pytest.fixture(scope="module")
-def first():
+def field():
     """The first field of the flights."""
     return make_field(0, SIGMA, LENGTH)
 
 
 @pytest.fixture(scope="module")
-def field():
-    return make_field(1, SIGMA, LENGTH)
+def isotropic():
+    """A field of another seed."""
+    return make_field(3, np.full(3, 1.5), np.full(3, 150.0), reach_m=0.0)
 
 
 @pytest.fixture(scope="module")
-def flights(first):
+def flights(field):
     """Windowed transforms (seeds, courses, probes, 3, frequencies) of u, v, w along tracks.
 
     And the mean squares (seeds, 3) at points all over the widest grid.
@@ -68,15 +69,15 @@ def flights(first):
     window = np.sqrt(2.0 / 3.0) * (1.0 - np.cos(2.0 * np.pi * np.arange(STEPS) / STEPS))
     found, squares = [], []
     for seed in range(SAMPLES):
-        field = make_field(seed, SIGMA, LENGTH) if seed else first
+        made = make_field(seed, SIGMA, LENGTH) if seed else field
         rng = np.random.default_rng([7, seed])
         far = rng.uniform(0.0, 1e5, (100_000, 3))
-        squares.append((sample_field(field.grid, far, far[:, np.newaxis]) ** 2).mean(axis=(0, 1)))
+        squares.append((sample_field(made.grid, far, far[:, np.newaxis]) ** 2).mean(axis=(0, 1)))
         for course in COURSES:
             along, right = level(course), level(course + np.pi / 2)
             start = rng.uniform(0.0, 1e5, 3) + np.multiply.outer(APART, right)
             at = start[:, np.newaxis] + np.multiply.outer(np.arange(STEPS), along)
-            ned = sample_field(field.grid, at.reshape(-1, 3), at.reshape(-1, 1, 3))
+            ned = sample_field(made.grid, at.reshape(-1, 3), at.reshape(-1, 1, 3))
             ned = ned.reshape(at.shape)
             uvw = np.stack([ned @ along, ned @ right, ned[..., 2]], axis=1)
             found.append(np.fft.rfft(uvw * window)[..., : int(BANDS[-1])])
@@ -292,14 +293,13 @@ def test_field_does_not_repeat_in_an_hour_straight_on(field):
     assert worst.max() < most
 
 
-def test_field_isotropic_has_no_divergence():
+def test_field_isotropic_has_no_divergence(isotropic):
     """But for splines, whose images of a wave have no part in keeping its air together."""
-    alike = make_field(3, np.full(3, 1.5), np.full(3, 150.0), reach_m=0.0)
     rng = np.random.default_rng(5)
     at = rng.uniform(0.0, 1e4, (4000, 1, 1, 3))
     step = 0.1 * np.array([1.0, -1.0])[:, np.newaxis] * np.eye(3)[:, np.newaxis, :]
     places = (at + step).reshape(-1, 1, 3)
-    found = sample_field(alike.grid, places[:, 0], places).reshape(-1, 3, 2, 3)
+    found = sample_field(isotropic.grid, places[:, 0], places).reshape(-1, 3, 2, 3)
     slopes = (found[:, :, 0] - found[:, :, 1]) / 0.2
     divergence = np.trace(slopes, axis1=1, axis2=2)
     unbound = (slopes[:, [0, 1, 2], [0, 1, 2]] ** 2).sum(axis=1)
@@ -337,10 +337,11 @@ def test_wind_difference_is_that_of_the_docs(field, distance):
     assert documented in " ".join(AIR.split())
 
 
-def test_field_same_seed_is_equal_to_the_bit(field, first):
-    again = make_field(1, SIGMA, LENGTH)
+def test_field_same_seed_is_equal_to_the_bit(field, isotropic):
+    """Of the same random numbers the other field would be alike in spite of its lengths."""
+    again = make_field(0, SIGMA, LENGTH)
     np.testing.assert_array_equal(again.grid.values, field.grid.values)
-    alike = np.corrcoef(*(each.grid.values.ravel()[::10] for each in (first, field)))[0, 1]
+    alike = np.corrcoef(*(each.grid.values.ravel()[::10] for each in (field, isotropic)))[0, 1]
     assert abs(alike) < 0.02
 
 

@@ -42,7 +42,7 @@ def made_small(seed, sigma, length):
 
 
 def make_small_field(seed, sigma, length, **_):
-    """Make a field for a short flight, once."""
+    """Make a field for a short flight, of 4 km at most, once."""
     return made_small(seed, tuple(sigma), tuple(length))
 
 
@@ -217,7 +217,9 @@ def recorded():
     @cache
     def record(model):
         pair = {"course": 40.0, "separation": 10.0, "duration": 400.0 if ALL else 120.0}
-        return record_probe(f"{MODEL}={model}", *WIND, **pair)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("testbed.plan.air.make_field", make_small_field)
+            return record_probe(f"{MODEL}={model}", *WIND, **pair)
 
     return record
 

@@ -132,7 +132,7 @@ class Routes(NamedTuple):
 @pytest.fixture(scope="module")
 def routes():
     """Four kinds of sensors at four scales of their errors, in straights, turns and climbs."""
-    long = 2 if ALL else 1
+    long = 2 if ALL else 0.5
     legs = (4 * long, 0, 0), (8 * long, 1, 0), (4 * long, 0, 0.15), (5 * long, -1, 0.05)
     flight = make_flight(50, *legs)
     kind = np.repeat(np.arange(len(KINDS)), len(SCALES))

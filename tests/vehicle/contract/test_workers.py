@@ -27,7 +27,7 @@ FAULTS = (
 )
 LOST = "one is lost, unsynchronised, in turbulence"
 PAGES = {
-    "vee": ("vee-30", ["fleet.count=6", "scenario.duration_s=4"]),
+    "vee": ("vee-30", ["fleet.count=6", "scenario.duration_s=1.5"]),
     "turbulence and estimates": (
         "turbulence-moderate",
         ["scenario.duration_s=1.5", "leader.sensors=pixhawk", "fleet.*.sensors=pixhawk"],
