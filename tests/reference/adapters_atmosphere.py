@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from reference.interpreted import interpreted
 
 from testbed.atmosphere import dryden, wake
 from testbed.atmosphere.airframe_wind import LOCAL_WIND, write_sample_points
@@ -58,7 +59,7 @@ def active_gusts(gusts, wind, time, position):
 # --------------------------------------------------------------------------- airframes, the field
 
 
-@entry
+@interpreted
 def _sample_points(position, euler, body, out):
     for i in range(len(position)):
         write_sample_points(position[i], rotation_rows(euler[i]), body[i], out[i])
@@ -71,7 +72,7 @@ def sample_points(position, euler, body):
     return out
 
 
-@entry
+@interpreted
 def _gradients(air, euler, body, average, rates):
     for i in range(len(air)):
         rotation = rotation_rows(euler[i])

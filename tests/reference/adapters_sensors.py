@@ -1,6 +1,7 @@
 """Kernels of the sensors for many aircraft or filters at once."""
 
 import numpy as np
+from reference.interpreted import interpreted
 
 from testbed.core.compile import entry
 from testbed.core.records import (
@@ -71,7 +72,7 @@ def ekf_step(
     return np.array(filters["output"])
 
 
-@entry
+@interpreted
 def _propagate(covariance, rotation, force, process, dt):
     for m in range(len(covariance)):
         r = rotation[m]
@@ -91,7 +92,7 @@ def propagate_covariance(covariance, rotation, force, process, dt):
     return out
 
 
-@entry
+@interpreted
 def _apply_errors(rows, filters, errors, aircraft):
     for m in range(len(rows)):
         ekf.apply_errors(filters[m], errors[rows[m]], aircraft[rows[m]].estimate)

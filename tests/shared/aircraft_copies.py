@@ -10,14 +10,16 @@ TWIN = (r"(<engine .*?</engine>)", r"\1\1")  # a change to two engines
 
 
 def of_jsbsim(name, tmp_path):
-    """Copy an aircraft of the installed JSBSim, with all engines and systems."""
+    """Copy an aircraft of the installed JSBSim, with the engines and systems that it names."""
     data, folder = Path(jsbsim_root()), tmp_path / name
-    for source, target in (
-        ("engine", "Engines"),
-        ("systems", "Systems"),
-        (f"aircraft/{name}", "."),
-    ):
-        shutil.copytree(data / source, folder / target, dirs_exist_ok=True)
+    shutil.copytree(data / "aircraft" / name, folder, dirs_exist_ok=True)
+    text = "".join(each.read_text(errors="replace") for each in folder.rglob("*.xml"))
+    for source, target in (("engine", "Engines"), ("systems", "Systems")):
+        (folder / target).mkdir(exist_ok=True)
+        for file in (data / source).glob("*.xml"):
+            if file.stem in text and not (folder / target / file.name).exists():
+                shutil.copy(file, folder / target)
+                text += file.read_text(errors="replace")
     return folder
 
 

@@ -43,7 +43,7 @@ PAGES = {
     LOST: (
         "engine-out-uav2",
         [
-            *("scenario.duration_s=12", "rates.synchronous=false"),
+            *("scenario.duration_s=7", "rates.synchronous=false"),
             *("air.turbulence.model=dryden", f"fleet.uav2.faults={FAULTS}"),
         ],
     ),

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from aircraft_copies import TWIN, changed, of_jsbsim
-from cases import ALL
+from cases import ALL, in_full
 
 import testbed
 from testbed.airframes import powerplant
@@ -205,9 +205,9 @@ class TestPropellerMode:
         modes = {mode.name: mode for mode in find_modes(linear.a, linear.states)}
         assert modes["propeller"].eigenvalue.real < -1.0
 
-    @pytest.mark.parametrize("name", ["T37", "SGS", "c182"])
+    @pytest.mark.parametrize("name", ["T37", "SGS", "DHC6", pytest.param("c182", marks=in_full)])
     def test_none_without_propeller_or_with_governor(self, folders, name):
-        linear = linearize_aircraft(folders[name], TrimPoint(SPEEDS[name]))
+        linear = linearize_aircraft(folders[name], TrimPoint(SPEEDS[name], altitude=1300.0))
         assert linear.states == tuple(each for each in STATES if each != "n")
         assert linear.a.shape == (8, 8) and linear.b.shape == (8, 4)
         names = {mode.name for mode in find_modes(linear.a, linear.states)}
@@ -219,10 +219,9 @@ class TestPropellerMode:
 def test_piston_throttle_is_of_settled_engine(folders):
     """The slope between two settled throttles, by A and B: that of the propeller is in n."""
     folder = folders["c172p"]
-    point = TrimPoint(55.0)
+    point = TrimPoint(55.0, altitude=1300.0)
     linear, trim = linearize_aircraft(folder, point), trim_aircraft(folder, point)
     model = placed(folder)
-    model.locate((0.0, 0.0, -400.0), NedOrigin(elevation_m=0.0))
     n, u = (linear.states.index(each) for each in "nu")
     found = []
     for change in (-0.02, 0.02):
