@@ -3,8 +3,8 @@
 from typing import NamedTuple
 
 import numpy as np
-from reference.interpreted import interpreted
 
+from reference.interpreted import interpreted
 from testbed.atmosphere import dryden, wake
 from testbed.atmosphere.airframe_wind import LOCAL_WIND, write_sample_points
 from testbed.atmosphere.airframe_wind import mean_and_gradient as _mean_and_gradient

@@ -1,8 +1,8 @@
 """Kernels of the sensors for many aircraft or filters at once."""
 
 import numpy as np
-from reference.interpreted import interpreted
 
+from reference.interpreted import interpreted
 from testbed.core.compile import entry
 from testbed.core.records import (
     AIRCRAFT,
