@@ -6,6 +6,7 @@ each component, is evaluated with every literal that they have in its place.
 
 import hashlib
 import re
+from functools import cache
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -107,6 +108,7 @@ TWO = "pow atan2 fmod sum product difference lt le gt ge eq nq min max avg quoti
 GUARDED = {"roundmultiple": FINITE}
 
 
+@cache
 def literals():
     """Collect the literals of functions in the collection, by element and position."""
     found = {at: set(values) for at, values in KNOWN.items()}
@@ -140,6 +142,7 @@ FILTERS = "lag_filter lead_lag_filter second_order_filter washout_filter integra
 _NUMBERS = re.compile(r"[-+\d.eE\s]*")
 
 
+@cache
 def components():
     """Return the text of each different component of the collection, with the input made/x."""
     made = [_named(name.split("-")[0], text) for name, text in OWN_COMPONENTS.items()]

@@ -56,7 +56,7 @@ def test_functions_equal_jsbsim(tmp_path, monkeypatch):
     monkeypatch.setattr(translator, "_LINE_PARTS", LINE_PARTS)
     made = functions()
     simple = [name for name in made if name.split()[0] in PLAIN.split() and " at " in name]
-    left_out = set(simple) - set(sampled(simple, 40))
+    left_out = set(simple) - set(sampled(simple, 120))
     arguments, compared = arguments_of(COUNT, special=True), 0
     for number, part in enumerate(parts({k: v for k, v in made.items() if k not in left_out})):
         both = Both(tmp_path / str(number), part, [])

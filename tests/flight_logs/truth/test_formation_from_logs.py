@@ -139,11 +139,10 @@ def test_import_keeps_rates_and_wind(leaders):
 def numpy_errors(flown):
     """RMS slot errors by name, from the CSV files alone, over the rows of the window."""
     about = ("--scenario", flown / "three.yaml", "--mode", "any")
-    tables = []
-    for system in range(1, 5):
-        out = flown / f"row{system}.csv"
+    files = [flown / "tlog.csv", *(flown / f"row{system}.csv" for system in (2, 3, 4))]
+    for system, out in enumerate(files[1:], 2):
         invoke(flown, "import", flown / "run/run.tlog", "--system", system, *about, "--out", out)
-        tables.append(np.genfromtxt(out, delimiter=",", names=True))
+    tables = [np.genfromtxt(file, delimiter=",", names=True) for file in files]
     leader = tables[0]
     inside = (leader["t_s"] >= 15.0) & (leader["t_s"] < 36.0)
     north, east, down = (leader[f"v_{axis}_mps"] for axis in ("north", "east", "down"))
@@ -180,7 +179,7 @@ def test_formation_of_logs_has_the_flights_errors(formations, kind):
     assert real["saturations"]["uav1"]["seconds"] is None  # of a law that no log has
 
 
-def test_formation_errors_by_another_route(formations):
+def test_formation_errors_by_another_route(formations, leaders):
     """NumPy on the CSV files; the run has samples between their rows too, 25 for 10."""
     real = json.loads((formations / "tlog" / "metrics.json").read_text())
     rms = real["windows"]["joined"]["rms_m"]

@@ -4,12 +4,12 @@ import json
 import math
 import os
 import random
-import subprocess
 import sys
 
 import numpy as np
 import pytest
 from cases import ALL
+from commands import environment
 from flight_logs import (
     AUTO,
     FBWA,
@@ -25,6 +25,7 @@ from flight_logs import (
     write_dataflash,
     write_tlog,
 )
+from fresh import run_fresh
 from typer.testing import CliRunner
 
 from testbed.cli.flight_logs import import_command
@@ -477,10 +478,9 @@ link.feed(link.pack("PARAM_REQUEST_LIST", target_system=1, target_component=1))
 loaded = [m for name, m in sys.modules.items() if name.split(".")[0] == "pymavlink"]
 print(json.dumps({{m.__name__: Path(m.__file__).read_text() for m in loaded}}))
 """
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
-    )
-    sources = json.loads(done.stdout)
+    done, output, errors = run_fresh(code, folder=ROOT, paths=[ROOT], env=environment(80))
+    assert done == 0, errors
+    sources = json.loads(output)
     tables = "pymavlink.dialects.v20.ardupilotmega"
     packages = {"pymavlink", "pymavlink.dialects", "pymavlink.dialects.v20"}
     assert sources.keys() == packages | {tables}

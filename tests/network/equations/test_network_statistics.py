@@ -5,8 +5,8 @@ import os
 
 import numpy as np
 import pytest
+from reference.interpreted import interpreted
 
-from testbed.core.compile import entry
 from testbed.network.link_statistics import (
     BINS,
     LONGEST_BURST,
@@ -146,7 +146,7 @@ def test_ages_are_recorded_of_the_rows_that_use_them():
         assert np.array_equal(link["ages"], np.bincount(bin_of(ages), minlength=BINS))
 
 
-@entry
+@interpreted
 def _record_ages(statistics, rows, age_s):
     record_ages(statistics, rows, age_s)
 
