@@ -112,7 +112,7 @@ def test_both_guides_make_the_same_progress():
         expected = (gamma, untouched["estimate"]["euler"][ROW, 0], 0.0)
         found = aircraft["control"][ROW].item()
         assert all(map(partial(math.isclose, rel_tol=1e-12), found, expected))
-    assert min(lines, circles, levels) > STATES // 130, "the states reach every end of a segment"
+    assert min(lines, circles, levels) > 0.0075 * STATES, "the states reach every end of a segment"
 
 
 def test_turns_are_counted_the_short_way():
@@ -131,7 +131,7 @@ def test_turns_are_counted_the_short_way():
         turned = before["turned"] + (change if part.clockwise else -change)
         assert math.isclose(after["turned"], turned, rel_tol=1e-12, abs_tol=1e-13)
         counted += 1
-    assert counted > STATES // 14
+    assert counted > 0.075 * STATES
 
 
 def test_flight_params_do_not_change_the_memory():
