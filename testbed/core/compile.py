@@ -2,8 +2,8 @@
 
 A kernel is a function in plain scalar Python, for one aircraft or for a few arrays of records.
 `@kernel` marks one that other kernels call, `@entry` one that Python calls: the machine code of an
-entry, with all kernels in it, is kept on disk. `@jitable` marks a function that kernels may call
-and that Python calls uncompiled.
+entry, with all kernels in it, is kept on disk. So is that of a `@kept_kernel`, which kernels of
+users call. `@jitable` marks a function that kernels may call and that Python calls uncompiled.
 
 The entries of a flight are bound by `bind_entry`, which registers them while the flight is built.
 `prepare` compiles or loads them before the first tick.
@@ -176,6 +176,15 @@ def entry(function: F) -> F:
 def entry_beside_python(function: F) -> F:
     """Compile as `entry` does; other threads run Python meanwhile."""
     return _compiled(function, lambda: _make_entry(function, {**_OPTIONS, "nogil": True}))
+
+
+def kept_kernel(function: F) -> F:
+    """Compile a function that kernels of users call, and keep its machine code on disk.
+
+    The first law that calls it compiles it; later ones load it.
+    """
+    options = {**_OPTIONS, "no_cpython_wrapper": True}
+    return _compiled(function, lambda: _make_entry(function, options), _NotFromPython)
 
 
 def checked_kernel(function: F) -> F:

@@ -9,7 +9,7 @@ import numpy as np
 from numba.core import types
 from numba.extending import overload_method
 
-from testbed.core.compile import kernel
+from testbed.core.compile import kept_kernel, kernel
 from testbed.core.field_docs import document_fields
 from testbed.core.records import (
     FOLLOWER,
@@ -116,7 +116,7 @@ def _reset(leader: Record) -> None:
         leader.omega[axis] = nan
 
 
-@kernel
+@kept_kernel
 def _step_in_kernels(
     config: FollowerHbh23, now: float, own: OwnState, inbox: Inbox, memory: Record
 ) -> UnicycleCommand:

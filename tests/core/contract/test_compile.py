@@ -72,6 +72,29 @@ def scaled_one(scale):
     called(before, None)  # compiled before anything is kept
     return called(step, str(scale))
 """
+SHARED = """
+from testbed.core.compile import kept_kernel
+from testbed.formation.numbers import STEP
+
+
+@kept_kernel
+def shared(x):
+    return x + STEP
+"""
+LAW = """
+import numpy as np
+from testbed.core.call_list import Call
+from testbed.core.compile import entry_of_user_code
+from testbed.flight.shared import shared
+
+def law(x):
+    x[0] = {factor} * shared(x[0])
+    return 0
+
+x = np.ones(1)
+Call(entry_of_user_code(law, "law of {factor}"), x)(0.0)
+print(x[0], sum(shared.dispatcher.stats.cache_hits.values()))
+"""
 MAIN = "from testbed.cli.main import main; main()"
 
 
@@ -134,6 +157,15 @@ def test_a_constant_of_another_file_is_compiled_anew(package):
     assert folders(cache) != first
     found = [path.relative_to(cache) for path in package.rglob("*.code")]
     assert {path.parts[0] for path in found} == set(folders(cache))
+
+
+def test_laws_share_a_kept_kernel(package):
+    """The second law loads it, and a changed constant of another file is in both."""
+    (package / "flight" / "shared.py").write_text(SHARED)
+    found = [printed(package, script=LAW.format(factor=each)) for each in (2.0, 3.0)]
+    assert found == ["4.0 0", "6.0 1"]
+    (package / "formation" / "numbers.py").write_text("STEP = 2.0\n")
+    assert printed(package, script=LAW.format(factor=3.0)) == "9.0 0"
 
 
 def test_numba_cache_dir_replaces_the_package_folder(package, tmp_path):
