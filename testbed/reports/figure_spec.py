@@ -62,7 +62,7 @@ class Figure:
 def make_figure(name: str, spec: FigureSpec, subtitle: str, note: str = "") -> Figure:
     """Make a figure; `note` is appended to the caption."""
     size_in = (WIDTH_IN, spec.height_in)
-    widths = spec.widths or (1.0,) * len(spec.rows[0])
+    widths = spec.widths or (1.0,) * max(map(len, spec.rows))
     grid = PanelGrid(spec.title, subtitle, spec.rows, widths, size_in)
     return Figure(name, spec.title, spec.caption + note, grid)
 

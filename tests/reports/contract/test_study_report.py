@@ -365,6 +365,18 @@ def test_laws_are_kept_apart(kind, undrawn):
     assert [text.rpartition("; ")[2] for _, text in cards[:2]] == ["chase", "steady"]
 
 
+def test_rows_of_one_and_two_panels_are_drawn():
+    """The mean over five winds in the first row, and in the second a panel for each loss."""
+    table = []
+    for case, loss, wind, seed in product(("a", "b"), (0.0, 0.1), (0, 2, 4, 6, 8), range(2)):
+        point = {"network.loss": loss, "air.wind.speed_mps": wind}
+        table.append((case, seed, point, 1.0 + loss + 0.1 * wind + 0.1 * seed))
+    figure = next(figures.study_figures(study_of(flights_of(table))))
+    assert [len(row) for row in figure.grid.rows] == [1, 2]
+    text = figure_svg(figure.grid)
+    assert "network.loss 0<" in text and "network.loss 0.1<" in text
+
+
 def test_terminal_tables_break_no_cell():
     console = Console(width=60, file=io.StringIO(), record=True)
     print_summary(two_laws("key"), console)
