@@ -148,11 +148,13 @@ class CompiledFunction:
 
 
 class _NotFromPython(CompiledFunction):
-    """An entry without numba's wrapper for Python, a call of which would end the process."""
+    """A function without numba's wrapper for Python, a call of which would end the process."""
 
     def __call__(self, *args: Any, **named: Any) -> Any:  # noqa: ANN401
         """Refuse it."""
-        raise TypeError(f"{self.__qualname__} is called by its address (make a call_list.Call)")
+        raise TypeError(
+            f"{self.__qualname__} is called by its address (make a call_list.Call), or by kernels"
+        )
 
 
 def _compiled(

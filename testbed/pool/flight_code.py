@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from pathlib import Path
 
 from testbed.core.compile import source_digest
@@ -18,9 +17,8 @@ PREDICTION_PACKAGES = ("linear",)  # and a prediction
 _PACKAGE = Path(__file__).parents[1]
 
 
-@functools.cache
 def flight_code(*, predictions: bool = False) -> str:
-    """Return a short digest of the code of flights, and of predictions, as it was at first."""
+    """Return a short digest of the code of flights, and of predictions."""
     packages = FLIGHT_PACKAGES + (PREDICTION_PACKAGES if predictions else ())
     return source_digest(_PACKAGE, packages)[:12]
 

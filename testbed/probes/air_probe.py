@@ -111,9 +111,7 @@ def fly_probes(scenario: Scenario, path: ProbePath) -> ProbeRecord:
     truth["airspeed"] = truth["equivalent_airspeed"] = path.airspeed
     mean_before = mean_wind.velocity_ned(0.0, path.height)
     for k, now in enumerate(time.tolist()):
-        mean_now = mean_before
-        if not mean_wind.steady:
-            mean_now = mean_wind.velocity_ned(now, path.height)
+        mean_now = mean_wind.velocity_ned(now, path.height)
         if k:  # exact for a steady wind, and for one that is linear between its rows
             drift = 0.5 * (mean_before + mean_now) * [1.0, 1.0, 0.0]
             position = position + (path.airspeed * forward + drift) * dt

@@ -28,33 +28,15 @@ FILES = {
 IMPORTS = (ast.Import, ast.ImportFrom)
 
 
-# Fields of a statement that have statements.
-INSIDE = {"body", "orelse", "finalbody", "handlers", "cases"}
-# Of an expression that opens a file; most files have none of them.
-OPENING_WORDS = re.compile(r"\bopen\(|\.(?:read|write)_(?:text|bytes)\b")
-
-
 @functools.cache
 def nodes(path):
     """Imports of a file, and calls that open one; all nodes of all files would fill the memory."""
-    text = path.read_text(encoding="utf-8")
-    tree = ast.parse(text)
-    found = [each for each in statements(tree) if isinstance(each, IMPORTS)]
-    if OPENING_WORDS.search(text):
-        calls = (each for each in ast.walk(tree) if isinstance(each, ast.Call))
-        found += [each for each in calls if opens_file(each)]
-    return found
-
-
-def statements(node):
-    """Statements of a module, also those inside of others; an expression has none."""
-    waiting = [node]
-    for each in waiting:
-        for name in INSIDE & vars(each).keys():
-            part = getattr(each, name)
-            if isinstance(part, list):  # the body of a lambda is an expression
-                waiting += part
-    return waiting
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    return [
+        each
+        for each in ast.walk(tree)
+        if isinstance(each, IMPORTS) or (isinstance(each, ast.Call) and opens_file(each))
+    ]
 
 
 def imports(path):

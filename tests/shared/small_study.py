@@ -6,6 +6,9 @@ from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 from unittest.mock import patch
 
+import pytest
+from cases import ALL
+
 from testbed.plan.world import versions
 from testbed.pool.flight_task import FlightResult, FlightTask, run_task
 
@@ -98,6 +101,14 @@ def check_little(patch):
     """Before a study is flown, read few of its scenarios and build none: tests of plans do."""
     patch.setattr("testbed.studies.plan_check.MAX_CHECKED", 3)
     patch.setattr("testbed.studies.plan_check.MAX_BUILT", 0)
+
+
+@pytest.fixture(scope="module", autouse=not ALL)
+def few_checked():
+    """For all tests of a module that imports it."""
+    with pytest.MonkeyPatch.context() as each:
+        check_little(each)
+        yield
 
 
 @dataclass

@@ -7,7 +7,7 @@ import pytest
 import small_study
 from cases import ALL, in_full
 from commands import call_command
-from small_study import use
+from small_study import few_checked, use  # noqa: F401 - checks of all tests
 
 from testbed.cli.study_report import read_study
 from testbed.reports.html import render_page
@@ -62,13 +62,6 @@ def fly_whole(folder, text, **options):
         patch.chdir(folder)
         sweep("map.yaml", "whole.parquet", **options)
     return folder
-
-
-@pytest.fixture(scope="module", autouse=not ALL)
-def few_checked():
-    with pytest.MonkeyPatch.context() as patch:
-        small_study.check_little(patch)
-        yield
 
 
 @pytest.fixture(scope="module")

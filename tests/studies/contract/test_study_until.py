@@ -7,9 +7,8 @@ import re
 import numpy as np
 import pytest
 import small_study
-from cases import ALL
 from commands import call_command
-from small_study import use
+from small_study import few_checked, use  # noqa: F401 - checks of all tests
 from study_samples import METRIC, flights_of, study_of
 
 from testbed.cli.study_report import read_study
@@ -47,13 +46,6 @@ def fly(task):
     return small_study.made_result(
         task, number, "lost" if lost else "completed", depends_on_seed=loss > 0.0
     )
-
-
-@pytest.fixture(scope="module", autouse=not ALL)
-def few_checked():
-    with pytest.MonkeyPatch.context() as patch:
-        small_study.check_little(patch)
-        yield
 
 
 @pytest.fixture(scope="module")

@@ -23,7 +23,6 @@ from testbed.cli.progress import progress_counter
 from testbed.cli.sweep import summary_tables
 from testbed.core.errors import InputError
 from testbed.metrics.flat_numbers import flatten_metrics
-from testbed.pool.flight_code import flight_code
 from testbed.studies.journal import Journal
 from testbed.studies.study_summary import RunGroup, Summary
 from testbed.studies.sweep import sweep
@@ -225,18 +224,9 @@ def test_resume_changed_versions_are_refused(begun, workers, tmp_path, monkeypat
         sweep("small.yaml", tmp_path / "new")
 
 
-@pytest.fixture
-def changed_code(monkeypatch):
-    """Have a process find another digest of its code."""
-    flight_code.cache_clear()
-    monkeypatch.setattr("testbed.pool.flight_code.source_digest", lambda *_: "0123456789abcdef")
-    yield
-    flight_code.cache_clear()
-
-
-@pytest.mark.usefixtures("workers", "changed_code")
-def test_resume_changed_code_is_refused(folder, begun):
+def test_resume_changed_code_is_refused(folder, begun, workers, monkeypatch):
     """Whether the study was interrupted or complete: its runs were flown by other code."""
+    monkeypatch.setattr("testbed.pool.flight_code.source_digest", lambda *_: "0123456789abcdef")
     for out in (begun, folder / "whole.parquet"):
         with pytest.raises(InputError, match=r"the code changed.*testbed from \w+ to 0123456789ab"):
             sweep("small.yaml", out, resume=True)

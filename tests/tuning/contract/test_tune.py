@@ -11,7 +11,7 @@ from unittest.mock import MagicMock
 import pytest
 from cases import ALL
 from commands import call_command
-from small_study import check_little
+from small_study import few_checked  # noqa: F401 - for all tests
 from snapshot import check_snapshot
 
 from testbed.pool.flight_pool import FlightWorkers
@@ -45,13 +45,6 @@ gains:
 objective: {metric: windows.rectangles.mean_rms_m, aggregate: mean}
 search: {max_flights: 52, population: 4, held_out_seeds: [7, 8, 9]}
 """
-
-
-@pytest.fixture(scope="module", autouse=not ALL)
-def few_checked():
-    with pytest.MonkeyPatch.context() as patch:
-        check_little(patch)
-        yield
 
 
 @pytest.fixture
